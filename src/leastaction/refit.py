@@ -33,6 +33,7 @@ from leastaction.findings import Finding, find
 from leastaction.identifiers import names_in_terms
 from leastaction.library import Kind, Library, Term, make_term, shape_names
 from leastaction.mechanics.euler_lagrange import EulerLagrange
+from leastaction.model.checks import angles_in
 from leastaction.model.diagnostics import Diagnostics, PathPoint
 from leastaction.model.model import LagrangianModel
 from leastaction.model.term import FitSummary, ModelTerm, ShapeParameter
@@ -226,7 +227,9 @@ def _setup(model: LagrangianModel, before: Diagnostics, point: PathPoint) -> Set
     data, degree = before.trajectories, before.grid.spaces[0].degree
     searched = excerpt(data, ENOUGH_SAMPLES)
     scales = lay_knots(searched, degree)
-    problem = Problem(data, candidates, known, degree, ranges=_ranges(model, candidates.terms, scales))
+    ranges = _ranges(model, candidates.terms, scales)
+    angles = tuple(angles_in(model.coordinates, model.provenance))
+    problem = Problem(data, candidates, known, degree, ranges=ranges, angles=angles)
     return Setup(problem, problem.on(searched), library, scales, before.prepared)
 
 

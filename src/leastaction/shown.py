@@ -127,6 +127,9 @@ class Shown:
     def _repr_html_(self) -> str:
         return self._card().html()
 
+    def __repr__(self) -> str:
+        return f"<{self._card().title}>"
+
 
 def _text(piece: Piece) -> str:
     return piece.text if isinstance(piece, Typeset) else piece

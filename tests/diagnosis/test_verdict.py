@@ -411,6 +411,17 @@ def test_angles_that_were_taken_for_positions():
         assert "perhaps-angle" not in [finding.code for finding in other.fit.findings]
 
 
+def test_an_angle_that_turns_no_term_is_not_asked_about_if_it_was_declared() -> None:
+    """The angle of an orbit occurs in no candidate, and that of small swings in no cosine."""
+    t = np.arange(0.0, 8.0, 0.02)
+    q = 0.1 * np.cos(3.0 * t) + 1e-3 * np.random.default_rng(0).standard_normal(t.size)
+    data = la.Trajectory(t, q, coordinates=["phi"])
+    for angles, asked in (([], True), (["phi"], False)):
+        library = la.Library(["phi_dot**2", "phi**2"], ["phi"], angles=angles)
+        model = la.discover(data, library, {"phi_dot**2": 0.5})
+        assert ("perhaps-angle" in {finding.code for finding in model.fit.findings}) is asked
+
+
 def test_an_angle_in_degrees():
     data = changed(pendulum(driven=False), q=np.rad2deg)
     degrees = Doubts(data, PENDULUM_LIBRARY, known={"theta_dot**2": 0.5}).one("angle-in-degrees")

@@ -9,6 +9,7 @@ import pytest
 
 import leastaction as la
 from helpers import COMPILER, MODELS, states, timed
+from leastaction import systems
 from leastaction.errors import InputError
 from leastaction.exporters import fmu
 from leastaction.exporters.fmu import (
@@ -314,6 +315,14 @@ def test_fast_systems_get_shorter_steps():
     fast = LagrangianModel(["x"], spring.terms, provenance={"knots_per_second": 1e6})
     assert longest_step(spring) == 1e-3
     assert longest_step(fast) == pytest.approx(1e-7)
+
+
+@pytest.mark.parametrize("trials", [1, 2])
+def test_a_model_that_was_just_found_gets_a_step(trials) -> None:
+    data = systems.generate("single_pendulum", noise=0.01, trials=trials, duration=4.0, seed=0)
+    model = la.discover(data, systems.compact_library("single_pendulum"))
+    again = LagrangianModel.from_dict(model.to_dict())
+    assert 0.0 < longest_step(model) <= longest_step(again)
 
 
 @pytest.mark.parametrize("rate", [1.0, 30.0, 300.0, 2000.0])

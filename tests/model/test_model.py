@@ -161,6 +161,11 @@ def test_text():
     assert repr(model) == (
         "<LagrangianModel of x: L = 0.5*x_dot**2 - 2.000*x**2, psi = 0.25*x_dot**2; fit doubtful>"
     )
+    assert repr(model.fit) == "<fit: doubtful>"
+    table = model.fit.to_frame()
+    assert table[["severity", "message"]].to_numpy().tolist() == [["warning", "noise <b>"]]
+    motion = model.simulate([0.1], [0.0], np.linspace(0.0, 1.0, 300))
+    assert repr(motion) == "<Simulation of x: complete>"
     lines = str(model).splitlines()
     assert lines[2].split() == ["x**2", "lagrangian", "-2.000", "0.01", "-2.020", "…", "-1.980", "-200"]
     assert lines[-2:] == ["fit: doubtful", "warning: noise <b>"]

@@ -227,26 +227,33 @@ def published_model(chosen: Demo, like: LagrangianModel) -> LagrangianModel:
 
 
 def _show_coefficients(chosen: Demo, model: LagrangianModel) -> None:
-    """Print the coefficients, found and published; "-" where a term is not in a model."""
+    """Print the coefficients, found and published; "-" where a term is not in a model.
+
+    Friction that two models divide among different terms is not compared coefficient by coefficient.
+    """
     rows = [("term", "found", "published", "difference", "z")]
     headings = {}
     kinds = ((model.terms, chosen.published), (model.dissipation, chosen.published_dissipation))
     for terms, published in kinds:
+        found = {term.expression for term in terms}
+        alike = True
         if terms is model.dissipation:
             headings[len(rows)] = "friction, psi:"
+            alike = found == {*published}
         for term in terms:
             there = published.get(term.expression)
             z = "" if term.known else f"{term.z:.0f}"
             if there is None or not there:
                 rows.append((term.expression, with_error(term), "-", "", z))
             else:
-                off = "" if term.known else f"{100 * (term.coefficient / there - 1):+.2f} %"
+                off = f"{100 * (term.coefficient / there - 1):+.2f} %" if alike and not term.known else ""
                 rows.append((term.expression, with_error(term), f"{there:.5g}", off, z))
-        found = {term.expression for term in terms}
         rows += [
             (text, "-", f"{value:.5g}", "", "") for text, value in published.items() if text not in found
         ]
     show_table(rows, headings)
+    if not alike:
+        say("The published model has other friction terms; single coefficients of friction do not compare.")
 
 
 def _show_forecasts(forecasts: dict[str, ForecastResult]) -> None:

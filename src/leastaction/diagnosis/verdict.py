@@ -168,7 +168,7 @@ def _by_search(search: Search) -> list[Finding]:
         return lacking_family(search) or differing
     problem = search.found.problem
     # first those with the name of an angle; without any, whichever it may be comes after the families
-    named = perhaps_angles(problem.candidates)
+    named = perhaps_angles(problem)
     return (
         exchanged_forces(search)
         or search_afresh(search)
@@ -259,7 +259,7 @@ def _looks_like_noise(fit: Fit, noise: np.ndarray) -> list[Finding]:
 
 
 def _perhaps_angles(fit: Fit) -> list[Finding]:
-    named = perhaps_angles(fit.problem.candidates)
+    named = perhaps_angles(fit.problem)
     return [find("perhaps-angle", named)] if named else []
 
 

@@ -20,10 +20,10 @@ from leastaction.diagnosis.missing_terms import common_terms, missing_term
 from leastaction.diagnosis.settings import DIAGNOSIS
 from leastaction.estimation.fit import Fit
 from leastaction.estimation.grid import Grid
+from leastaction.estimation.problem import Problem
 from leastaction.findings import Finding, find
 from leastaction.identifiers import ANGLE_NAMES
 from leastaction.library import Term
-from leastaction.mechanics.euler_lagrange import EulerLagrange
 from leastaction.selection.families import searched_with
 from leastaction.selection.forecast_error import forecast_error
 from leastaction.selection.progress import silent
@@ -78,9 +78,9 @@ def undeclared_angles(search: Search, names: Sequence[str]) -> list[Finding]:
     return _searched(search, turning) if len(turning) > len(columns.turning) else []
 
 
-def perhaps_angles(columns: EulerLagrange) -> list[str]:
-    """Coordinates with the name of an angle of which no candidate holds a sine or cosine."""
-    plain = [name for name in columns.coordinates if name not in columns.turning]
+def perhaps_angles(problem: Problem) -> list[str]:
+    """Coordinates with the name of an angle that nobody calls one, and without a sine or cosine."""
+    plain = [n for n in problem.coordinates if n not in (*problem.angles, *problem.candidates.turning)]
     return [name for name in plain if name.lower().startswith(ANGLE_NAMES)]
 
 

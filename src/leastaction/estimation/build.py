@@ -126,8 +126,7 @@ def build_problem(
     known = _resolve_known(library, dict(request.known or {}))
     _check_scale(trajectories, library, known)
     findings, turning = _about_angles(trajectories, angles)
-    jumps = [find("undeclared-angle", name, jumps=count) for name, count in turning.items()]
-    findings += [*unused_forces, *jumps]
+    findings += [*unused_forces, *(find("undeclared-angle", name, jumps=n) for name, n in turning.items())]
     trajectories = trajectories.unwrap(turning)
     seen = arranged(trajectories, measured)
     if seen_by is not None:
@@ -164,6 +163,7 @@ def build_problem(
         between="band-limited" if _fast_forces_act(searched) else "slow",
         hidden=hidden,
         sensors=None if seen_by is None else seen_by.sensors,
+        angles=angles,
     )
     return Setup(problem, problem.on(searched), library, scales, (*findings, *smoothed))
 

@@ -63,6 +63,8 @@ class Problem:
     sensors : Sensors or None
         Measured columns that are functions of the coordinates. The fit uses these columns. The trajectories
         then hold start values of the coordinates, computed from the columns.
+    angles : tuple of str
+        Coordinates that the user calls angles.
     """
 
     trajectories: Trajectories
@@ -77,6 +79,7 @@ class Problem:
     between: Between = "slow"
     hidden: tuple[int, ...] = ()
     sensors: Sensors | None = None
+    angles: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         known = np.array(self.known, dtype=float)

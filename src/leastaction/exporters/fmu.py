@@ -190,9 +190,9 @@ def longest_step(model: LagrangianModel) -> float:
 def _states_to_try(model: LagrangianModel) -> tuple[np.ndarray, np.ndarray]:
     """(n_states, 2 n_dof) coordinates and velocities, and their times."""
     if model.diagnostics is not None:
-        trial = model.diagnostics.trajectories[0]
+        trial, *others = model.diagnostics.trajectories
         t = np.linspace(trial.t[0], trial.t[-1], _STATES_TRIED)
-        times = [t, *(other.t[:1] for other in model.diagnostics.trajectories[1:])]
+        times = [t, *(other.t[:1] for other in others)]
         q, qdot = (model.diagnostics.curve(times, nu)[0] for nu in (0, 1))
         return np.hstack([q, qdot]), t
     states = np.random.default_rng(0).uniform(-1.0, 1.0, (_STATES_TRIED, 2 * model.n_dof))

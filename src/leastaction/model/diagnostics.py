@@ -220,7 +220,7 @@ class HiddenMotion(NamedTuple):
     standard_error: np.ndarray
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Diagnostics(Shown):
     """Results of a discovery that the report shows and the model file does not store.
 

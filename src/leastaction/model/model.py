@@ -25,7 +25,7 @@ from leastaction.model.groups import Grouped, Groups
 from leastaction.model.linear import Resting
 from leastaction.model.shown import ShownModel
 from leastaction.model.symmetries import Symmetry, find_symmetries
-from leastaction.model.term import FitSummary, ModelTerm, ShapeParameter, weighted_sum
+from leastaction.model.term import FitSummary, ModelTerm, ShapeParameter
 from leastaction.simulation.forecast import forecast
 from leastaction.simulation.integrate import force_function, simulate
 from leastaction.simulation.law import follow, spread_of
@@ -120,12 +120,12 @@ class LagrangianModel(model_text.Written, ShownModel, Resting, Grouped):
     @cached_property
     def lagrangian(self) -> sp.Expr:
         """L with all digits, over real SymPy symbols; `formula` rounds it for reading."""
-        return weighted_sum(self.terms, self.expressions)
+        return model_text.weighted_sum(self.terms, self.expressions)
 
     @cached_property
     def dissipation_function(self) -> sp.Expr:
         """ψ with its numbers; 0 if there is no dissipation."""
-        return weighted_sum(self.dissipation, self.dissipation_expressions)
+        return model_text.weighted_sum(self.dissipation, self.dissipation_expressions)
 
     @property
     def prescribed(self) -> tuple[str, ...]:

@@ -6,18 +6,20 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import Any, cast, get_args
+from typing import TYPE_CHECKING, Any, cast, get_args
 
 import numpy as np
-import sympy as sp
 
 from leastaction.errors import InputError
 from leastaction.findings import STATED, Audience, Finding, Severity, Status, sentence, statements
 from leastaction.identifiers import quoted
 from leastaction.kinds import is_number
-from leastaction.shown import Card, Shown
+from leastaction.shown import Card, Shown, data_frame
 
-__all__ = ["INTERVAL_RISE", "Z95", "FitSummary", "ModelTerm", "ShapeParameter", "as_float", "weighted_sum"]
+if TYPE_CHECKING:
+    import pandas as pd
+
+__all__ = ["INTERVAL_RISE", "Z95", "FitSummary", "ModelTerm", "ShapeParameter", "as_float"]
 
 _THROUGH = 1e-3  # chi2 per sample; with less, hardly a sample is off the curve
 Z95 = 1.959963984540054
@@ -241,7 +243,7 @@ def _profile(given: object, where: str) -> tuple[tuple[float, float], ...]:
     return tuple(numbers)
 
 
-@dataclass(frozen=True, init=False)
+@dataclass(frozen=True, init=False, repr=False)
 class FitSummary(Shown):
     """The verdict on a model, and the findings behind it.
 
@@ -293,11 +295,11 @@ class FitSummary(Shown):
         if status not in get_args(Status):
             raise InputError(f"fit: the status is {quoted(status)}; expected 'ok', 'usable' or 'doubtful'")
         weights = _items(physics_weight, "fit: physics_weight", "numbers, one per coordinate")
-        found = _findings(findings)
+        found = _each(findings, Finding, "finding", "a Finding")
         if warnings is not None:
             if found:
                 raise InputError("fit: warnings follow from the findings; give one of the two")
-            found = _of_texts(warnings)
+            found = tuple(map(Finding.of_text, _each(warnings, str, "warning", "text")))
         values = {
             "status": status,
             "chi2_per_sample": as_float(chi2_per_sample, "fit: chi2_per_sample", missing=True, least=0.0),
@@ -348,6 +350,11 @@ class FitSummary(Shown):
         through = self.chi2_per_sample < _THROUGH
         return "the curve passes through the samples" if through else "1 is expected"
 
+    def to_frame(self) -> pd.DataFrame:
+        """Return the findings, one a row: their code, severity and subject, the sentence and the remedy."""
+        columns = ("code", "severity", "subject", "message", "remedy")
+        return data_frame({name: [getattr(one, name) for one in self.findings] for name in columns})
+
     def _card(self) -> Card:
         lines = [f"{name}: {text}" for name, text in self.statements.items()]
         if math.isfinite(self.chi2_per_sample):
@@ -367,22 +374,11 @@ def _spectrum(value: Iterable[Iterable[object]]) -> tuple[tuple[float, ...], ...
     return numbers
 
 
-def _findings(value: Iterable[object]) -> tuple[Finding, ...]:
-    found: list[Finding] = []
-    for item in _items(value, "fit: findings", "findings"):
-        if not isinstance(item, Finding):
-            raise InputError(f"fit: a finding is {quoted(item)}; expected a Finding")
-        found.append(item)
-    return tuple(found)
-
-
-def _of_texts(value: Iterable[object]) -> tuple[Finding, ...]:
-    texts: list[str] = []
-    for text in _items(value, "fit: warnings", "texts"):
-        if not isinstance(text, str):
-            raise InputError(f"fit: a warning is {quoted(text)}; expected text")
-        texts.append(text)
-    return tuple(Finding.of_text(text) for text in texts)
+def _each(value: Iterable[object], kind: type, one: str, expected: str) -> tuple[Any, ...]:
+    for item in (items := _items(value, f"fit: {one}s", f"{one}s")):
+        if not isinstance(item, kind):
+            raise InputError(f"fit: a {one} is {quoted(item)}; expected {expected}")
+    return tuple(items)
 
 
 def _items(value: Iterable[Any], label: str, expected: str) -> list[Any]:
@@ -392,8 +388,3 @@ def _items(value: Iterable[Any], label: str, expected: str) -> list[Any]:
         return list(value)
     except TypeError:
         raise InputError(f"{label} is {quoted(value)}; expected a sequence of {expected}") from None
-
-
-def weighted_sum(terms: Sequence[ModelTerm], expressions: Sequence[sp.Expr]) -> sp.Expr:
-    """Σ coefficient · expression."""
-    return sp.Add(*(sp.Float(t.coefficient) * e for t, e in zip(terms, expressions, strict=True)))

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, cast
+
+import sympy as sp
 
 from leastaction.errors import InputError, MissingPackageError
 from leastaction.identifiers import names_in_terms, quoted
@@ -23,7 +25,6 @@ from leastaction.model.notation import (
 
 if TYPE_CHECKING:
     import pandas as pd
-    import sympy as sp
 
     from leastaction.model.constants import SimpleConstants
     from leastaction.model.model import LagrangianModel
@@ -46,6 +47,7 @@ __all__ = [
     "summary",
     "symmetry_lines",
     "table",
+    "weighted_sum",
 ]
 
 _HEADER = ("term", "kind", "coefficient", "std. error", "95 % interval", "z")
@@ -377,3 +379,8 @@ def frame(model: LagrangianModel, use: str = "table()") -> pd.DataFrame:
     ]
     columns = ("expression", "kind", "coefficient", *names, "z", "known")
     return pd.DataFrame(found, columns=list(columns)).set_index("expression")
+
+
+def weighted_sum(terms: Sequence[ModelTerm], expressions: Sequence[sp.Expr]) -> sp.Expr:
+    """Σ coefficient · expression."""
+    return sp.Add(*(sp.Float(t.coefficient) * e for t, e in zip(terms, expressions, strict=True)))

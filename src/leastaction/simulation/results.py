@@ -28,7 +28,7 @@ __all__ = ["ForecastResult", "SimulationResult"]
 _MEASURED = {"color": "0.55", "marker": ".", "markersize": 3, "linestyle": "none"}
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class SimulationResult(Shown):
     """Motion at the requested times, up to the end of the integration.
 
