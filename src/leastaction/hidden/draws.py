@@ -1,8 +1,9 @@
 """Random start values of coefficients and hidden states.
 
 A coefficient is drawn about the size at which its term balances the known terms and forces, with a random
-sign. If there are many terms, most start near zero. Hidden angles start anywhere on the circle. The scales of
-hidden lengths and rates are those of measured coordinates of the same kind.
+sign. Half of the draws take the signs that a regression without the hidden coordinates gives to the terms
+without these. If there are many terms, most start near zero. Hidden angles start anywhere on the circle. The
+scales of hidden lengths and rates are those of measured coordinates of the same kind.
 """
 
 from __future__ import annotations
@@ -16,11 +17,12 @@ from leastaction.hidden.settings import HIDDEN
 from leastaction.hidden.windows import Windows
 from leastaction.mechanics import Points
 
-__all__ = ["Scales", "draw_begins", "draw_coefficients", "scales_of", "term_sizes"]
+__all__ = ["Scales", "draw_begins", "draw_coefficients", "scales_of", "signs_without", "term_sizes"]
 
 _POINTS = 64  # states at which terms are compared
 _TRIED = 4000  # draws, of which those with a positive mass matrix stay
 _POSITIVE = 1e-3  # smallest eigenvalue of a scaled mass matrix
+_NOTHING = 1e-300  # added to a divisor that may vanish
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,20 +87,52 @@ def term_sizes(problem: Problem, windows: Windows, scales: Scales, rng: np.rando
     return np.divide(total, size, out=np.ones(size.size), where=usable)
 
 
+def signs_without(problem: Problem, members: list[int], windows: Windows) -> np.ndarray:
+    """(n_members,) signs of the terms without hidden coordinates by least squares; 0 for other terms.
+
+    The equations of the measured coordinates are fitted along the windows as if the other terms were absent.
+    The sizes are far off, but the signs are mostly right.
+    """
+    unseen = {f"{problem.coordinates[i]}{rate}" for i in windows.hidden for rate in ("", "_dot")}
+    signs = np.zeros(len(members))
+    own = [not unseen & {s.name for s in problem.terms[k].expr.free_symbols} for k in members]
+    rows = [i for i in windows.measured if i not in problem.prescribed]
+    if not (rows and any(own)):
+        return signs
+    n = problem.trajectories.n_dof
+    times = (windows.begin[:, None] + windows.nodes).ravel()
+    qddot = np.gradient(windows.qdot, windows.nodes, axis=1)
+    q, qdot, qddot = (part.reshape(-1, n) for part in (windows.q, windows.qdot, qddot))
+    points = Points(q, qdot, qddot, times)
+    strong = problem.candidates.strong(points)[:, rows]
+    given = -np.einsum("k,kip->ip", np.nan_to_num(problem.known), strong)
+    if windows.forces is not None:
+        given = given + windows.forces[::2].transpose(2, 1, 0).reshape(n, -1)[rows]
+    columns = strong[[k for k, free in zip(members, own, strict=True) if free]]
+    scale = np.sqrt((columns**2).mean(axis=(0, 2)) + (given**2).mean(axis=1))[:, None] + _NOTHING
+    columns, given = (columns / scale).reshape(len(columns), -1), (given / scale).ravel()
+    if np.isfinite(columns).all() and np.isfinite(given).all():
+        signs[own] = np.sign(np.linalg.lstsq(columns.T, given, rcond=None)[0])
+    return signs
+
+
 def draw_coefficients(
     problem: Problem,
     members: list[int],
     sizes: np.ndarray,
+    signs: np.ndarray,
     windows: Windows,
     scales: Scales,
     rng: np.random.Generator,
 ) -> np.ndarray:
     """(n_sets, n_members) coefficients whose mass matrix is positive definite at drawn states.
 
-    If there are many terms, most start near zero.
+    If there are many terms, most start near zero. Every second draw has the signs of ``signs`` where these
+    are not zero.
     """
     shape = (_TRIED, len(members))
     drawn = sizes * np.exp(HIDDEN.spread * rng.standard_normal(shape)) * rng.choice([-1.0, 1.0], shape)
+    drawn[::2] = np.where(signs, signs * np.abs(drawn[::2]), drawn[::2])
     passive = rng.random(shape) >= HIDDEN.active / len(members)
     drawn *= np.where(passive, HIDDEN.near_zero, 1.0)
     if windows.forces is not None:

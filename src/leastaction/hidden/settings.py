@@ -38,6 +38,10 @@ class HiddenSettings:
     stands_out: float = 1.5
     """Smallest ratio of the costs of the second best and the best law at which the best stands out."""
 
+    follows: float = 10.0
+    """Largest deviation of the best law, in units of deviations, at which the search ends. Two draws can end
+    at the same wrong law, which deviates by more."""
+
     state_rounds: int = 3
     """Steps of a fit of initial states."""
 

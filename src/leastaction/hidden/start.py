@@ -3,8 +3,8 @@
 1. Many sets of coefficients are drawn. Each is tried in short windows, from many hidden states. Then
    coefficients and states are fitted together.
 2. The best sets are fitted in more and longer windows, in which fewer of them follow the measured motion.
-3. The search is confirmed if two sets end at the same law, or if the best one stands out. Otherwise more sets
-   are drawn.
+3. The search is confirmed if the best law follows the measured motion, and if two sets end at it or it
+   stands out. Otherwise more sets are drawn.
 4. The best law is fitted in windows that cover every trajectory, and their motions are chained.
 """
 
@@ -23,7 +23,7 @@ from leastaction.estimation.hidden import knots_of_all, lacking
 from leastaction.estimation.problem import Problem
 from leastaction.estimation.structure import Structure
 from leastaction.hidden.chain import Chained, chain, continued
-from leastaction.hidden.draws import draw_begins, draw_coefficients, scales_of, term_sizes
+from leastaction.hidden.draws import draw_begins, draw_coefficients, scales_of, signs_without, term_sizes
 from leastaction.hidden.gauge import canonical
 from leastaction.hidden.settings import HIDDEN
 from leastaction.hidden.shooting import Shooter, Solutions, law_of
@@ -80,7 +80,8 @@ def find_start(
     pool, confirmed = hunt.drawn(), False
     for attempt in range(HIDDEN.batches):
         found = hunt.fitted(pool, *HIDDEN.last)
-        confirmed = _agree(problem, hunt.members, found, hunt.sizes)
+        follows = np.median(found.best(1).deviation) <= HIDDEN.follows**2
+        confirmed = bool(follows) and _agree(problem, hunt.members, found, hunt.sizes)
         if confirmed or attempt == HIDDEN.batches - 1:
             break
         pool = _joined(found, hunt.drawn())
@@ -158,6 +159,7 @@ class _Hunt:
         self.first = self.windows(*HIDDEN.stages[0][:2])
         self.scales = scales_of(problem, self.first, period)
         self.sizes = term_sizes(problem, self.first, self.scales, rng)
+        self.signs = signs_without(problem, self.members, self.windows(*HIDDEN.last[:2]))
 
     def windows(self, factor: float, most: int | None) -> Windows:
         """Windows of ``factor`` times the first length."""
@@ -168,7 +170,8 @@ class _Hunt:
     def drawn(self) -> Solutions:
         """The best of many draws after all stages except the last."""
         sizes = self.sizes[self.members]
-        given = draw_coefficients(self.problem, self.members, sizes, self.first, self.scales, self.rng)
+        where = self.first, self.scales, self.rng
+        given = draw_coefficients(self.problem, self.members, sizes, self.signs, *where)
         nothing = np.zeros((len(given), 0))
         found = Solutions(given, nothing, nothing)
         for stage in HIDDEN.stages:
