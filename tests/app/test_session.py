@@ -541,11 +541,111 @@ def test_sliding_bodies_are_drawn_as_wide_as_they_move(kind, names):
     t = np.linspace(0.0, 2 * np.pi, 201)
     q = 3.0 + np.column_stack([0.02 / (k + 1) * np.sin(t + k) for k in range(len(names))])
     model = la.LagrangianModel(names, [ModelTerm(f"{name}_dot**2", 0.5) for name in names])
-    assert stick_kind(names, []) == kind
+    assert stick_kind(model, []) == kind
     shown = frames(Motion("one", True, t, q, q, 1.0), model, kind=kind)
     assert np.abs(shown["measured"]).max() == pytest.approx(_motion._REACH, rel=0.01)
     assert shown["lengths"] == []
     assert not shown["down"]
+
+
+def law(*terms: str) -> la.LagrangianModel:
+    """A model of these terms with the coefficient 0.5; coordinates are those of the rates."""
+    names = list(dict.fromkeys(re.findall(r"(\w+)_dot", " ".join(terms))))
+    return la.LagrangianModel(names, [ModelTerm(text, 0.5) for text in terms])
+
+
+KINDS = {
+    **dict.fromkeys(("single_pendulum", "double_pendulum", "chaotic_pendulum", "triple_pendulum"), "links"),
+    "cart_spring_pendulum": "cart",
+    **dict.fromkeys(("kepler_orbit", "morse_molecule"), "polar"),
+    **dict.fromkeys(("magnetic_pendulum", "henon_heiles"), "plane"),
+    **dict.fromkeys(("spring_chain", "toda_chain", "double_well"), "blocks"),
+    # motions in space, and a cart with a spring as its link
+    **dict.fromkeys(("spherical_pendulum", "spherical_spring_pendulum", "rotary_pendulum"), ""),
+    **dict.fromkeys(("robot_arm", "elastic_pendulum_cart"), ""),
+}
+
+
+def test_the_law_decides_what_is_drawn():
+    systems = la.systems
+    assert {*KINDS} == {*systems.names(), *systems.further_names()}
+    for name, kind in KINDS.items():
+        system = systems.get(name)
+        terms = [ModelTerm(text, value) for text, value in system.lagrangian.items()]
+        model = la.LagrangianModel(system.coordinates, terms)
+        assert stick_kind(model, system.angles) == kind, name
+        # A small additional term changes nothing; neither does the order of the coordinates of a point.
+        slight = ModelTerm(f"{model.coordinates[-1]}_dot**4", 1e-3)
+        assert stick_kind(replace(model, terms=(*terms, slight)), system.angles) == kind, name
+        if kind == "polar":
+            turned = replace(model, coordinates=model.coordinates[::-1], noise_std=None)
+            assert stick_kind(turned, system.angles) == stick_kind(turned, []) == kind
+
+
+@pytest.mark.parametrize(
+    ("terms", "angles"),
+    [
+        (["r_dot**2", "phi_dot**2"], ["phi"]),  # no coupling: neither a cart nor a point
+        (["r_dot**2", "r**2*phi_dot**2", "r_dot*phi_dot"], ["phi"]),
+        (["r_dot**2", "r**2*phi_dot**2", "phi_dot**2"], ["phi"]),
+        (["r_dot**2", "2*r**2*phi_dot**2"], ["phi"]),
+        (["a_dot**2", "b_dot**2", "cos(a)", "cos(b)", "(a-b)**2"], ["a", "b"]),  # two pendulums and a spring
+        (["a_dot**2", "b_dot**2", "a_dot*b_dot*cos(a-b)", "b_dot**2*cos(a)"], ["a", "b"]),
+        (["a_dot**2", "b_dot**2", "a_dot*b_dot", "cos(a)", "cos(b)"], ["a", "b"]),
+        (["a_dot**2", "abs(a_dot)"], ["a"]),
+        (["x_dot**2", "a_dot**2", "x_dot*a_dot"], ["a"]),
+        (["x_dot**2", "a_dot**2", "x_dot*a_dot*cos(a)*cos(3*t)"], ["a"]),
+        ([f"{name}_dot**2" for name in "abcde"], []),
+    ],
+)
+def test_what_the_law_does_not_confirm_is_not_drawn(terms, angles):
+    model = law(*terms)
+    assert stick_kind(model, angles) == ""
+    assert "no animation" in stick_words("", model, {})
+
+
+@pytest.mark.parametrize("relative", [False, True])
+@pytest.mark.parametrize("gravity", [9.81, 0])
+@pytest.mark.parametrize("cart", [None, 2.0])
+def test_chains_are_confirmed(relative, gravity, cart):
+    model = chain((0.3, 0.5), (0.5, 0.2), relative=relative, gravity=gravity, cart=cart)
+    assert stick_kind(model, ["a", "b"]) == ("cart" if cart else "links")
+    if cart is None:
+        model = chain((0.3, 0.5, 0.2), (0.5, 0.2, 0.4), relative=relative, gravity=gravity)
+        assert stick_kind(model, "abc") == "links"
+
+
+def test_a_polar_point_moves_where_the_coordinates_say():
+    t = np.linspace(0.0, 5.0, 200)
+    q = np.column_stack([1.0 + 0.3 * np.sin(2 * t), 1.3 * t])
+    motion = Motion("one", True, t, q, q, 1.0)
+    shown = frames(motion, law("r_dot**2", "r**2*phi_dot**2", "1/r"), kind="polar")
+    scale = _motion._REACH / q[:, 0].max()
+    place = scale * q[:, :1] * np.column_stack([np.cos(q[:, 1]), np.sin(q[:, 1])])
+    np.testing.assert_allclose(shown["measured"], place, atol=1e-3)
+    assert not shown["down"]
+    assert "origin" in stick_words("polar", law("r_dot**2", "r**2*phi_dot**2"), shown)
+    # the coordinates the other way round
+    other = replace(motion, measured=q[:, ::-1], forecast=q[:, ::-1])
+    turned = law("r**2*phi_dot**2", "r_dot**2")
+    assert turned.coordinates == ("phi", "r")
+    assert frames(other, turned, kind="polar")["forecast"] == shown["forecast"]
+
+
+@pytest.mark.parametrize("down", [0.0, math.pi, 0.4])
+@pytest.mark.parametrize("radius", ["r*", ""])
+def test_a_swinging_spring_hangs_where_its_potential_is_lowest(down, radius):
+    terms = {"r_dot**2": 0.5, "r**2*a_dot**2": 0.5, "r**2": -20.0, "r": 40.0}
+    terms |= {f"{radius}cos(a)": 9.81 * math.cos(down), f"{radius}sin(a)": 9.81 * math.sin(down)}
+    model = la.LagrangianModel(["r", "a"], [ModelTerm(text, value) for text, value in terms.items()])
+    assert stick_kind(model, ["a"]) == "polar"
+    t = np.linspace(0.0, 5.0, 200)
+    q = np.column_stack([1.2 + 0.1 * np.sin(5 * t), down + 0.5 * np.cos(2 * t)])
+    shown = frames(Motion("one", True, t, q, q, 1.0), model, kind="polar")
+    assert shown["down"]
+    lean, reach = 0.5 * np.cos(2 * t), _motion._REACH / q[:, 0].max() * q[:, 0]
+    place = np.column_stack([reach * np.sin(lean), -reach * np.cos(lean)])
+    np.testing.assert_allclose(shown["measured"], place, atol=1e-3)
 
 
 def test_what_one_click_may_do():

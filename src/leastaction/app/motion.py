@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Literal
@@ -21,36 +21,78 @@ if TYPE_CHECKING:
 __all__ = ["Kind", "Lengths", "frames", "hanging_angles", "link_lengths", "stick_kind", "stick_words"]
 
 
-Kind = Literal["links", "cart", "plane", "blocks", ""]
-"""Kind of drawing: links from a fixed joint or on a cart, a point in a plane, blocks on a rail; or none."""
+Kind = Literal["links", "cart", "polar", "plane", "blocks", ""]
+"""Links from a joint or on a cart, a point in polar or Cartesian coordinates, blocks on a rail; or none."""
 
 _REACH = 98.0  # px: length of all links together, or half the range of sliding bodies
 _MOST_LINKS, _MOST_BLOCKS = 7, 4
 _STATES = 8  # at which the mass matrix is compared with that of a chain
-_APART = 0.02  # largest difference, as a share of the row
+_APART = 0.02  # largest difference of an entry from that of a chain, for links to scale
+_SIMILAR = 0.1  # the same for the kind of drawing, which small additional terms do not change
 _SHORTEST = 0.05  # of the longest link: shorter ones could not be seen
+_Places = Callable[[np.ndarray], np.ndarray]
+_NOTHING = (
+    "There is no animation. Angles are drawn only if the kinetic energy of the law is that of a chain of up "
+    "to 7 links, of a cart with one or two links, or of a point in polar coordinates; up to 4 other "
+    "coordinates are drawn as positions."
+)
 _LAST = "The last one has the length of the equivalent simple pendulum."
 
 
-def stick_kind(coordinates: Sequence[str], angles: Sequence[str]) -> Kind:
-    """The figure for a motion.
+def stick_kind(model: LagrangianModel, angles: Sequence[str]) -> Kind:
+    """The figure for the motions of a model. Angles are drawn only if its kinetic energy confirms how.
 
     Examples
     --------
-    >>> stick_kind(["theta"], ["theta"]), stick_kind(["x", "theta"], ["theta"])
-    ('links', 'cart')
-    >>> stick_kind(["x", "y"], []), stick_kind(["x1", "x2"], []), stick_kind(["x", "y", "theta"], ["theta"])
-    ('plane', 'blocks', '')
+    >>> from leastaction import LagrangianModel
+    >>> from leastaction.model.term import ModelTerm
+    >>> def kind(names, angles, *terms):
+    ...     return stick_kind(LagrangianModel(names, [ModelTerm(text, 0.5) for text in terms]), angles)
+    >>> kind(["theta"], ["theta"], "theta_dot**2")
+    'links'
+    >>> kind(["r", "phi"], ["phi"], "r_dot**2", "r**2*phi_dot**2")
+    'polar'
+    >>> kind(["x", "y"], [], "x_dot**2"), kind(["x", "phi"], ["phi"], "x_dot**2", "phi_dot**2")
+    ('plane', '')
     """
-    turning = [name in angles for name in coordinates]
-    if all(turning):
-        return "links" if len(turning) <= _MOST_LINKS else ""
+    names = model.coordinates
+    if _polar(model, angles):
+        return "polar"
+    turning = [name in angles for name in names]
     if any(turning):
-        return "cart" if turning in ([False, True], [False, True, True]) else ""
-    across, up = coordinates if len(coordinates) == 2 else ("", "")
+        cart = turning in ([False, True], [False, True, True])
+        may = cart or (all(turning) and len(names) <= _MOST_LINKS)
+        chain = _chain(model, *_pose(model, int(cart)), int(cart), _SIMILAR) if may else None
+        return "" if chain is None else "cart" if cart else "links"
+    across, up = names if len(names) == 2 else ("", "")
     if across.endswith("x") and up.endswith("y") and across[:-1] == up[:-1]:
         return "plane"
-    return "blocks" if len(turning) <= _MOST_BLOCKS else ""
+    return "blocks" if len(names) <= _MOST_BLOCKS else ""
+
+
+def _polar(model: LagrangianModel, angles: Sequence[str] = ()) -> tuple[int, int] | None:
+    """Places of r and φ if the kinetic energy is c (ṙ² + r²φ̇²); None if it is not."""
+    if model.n_dof != 2:
+        return None
+    q, masses = _masses(model)
+    for r, phi in ((0, 1), (1, 0)):
+        along, around = masses[r, r], (masses[phi, phi] / q[r] ** 2).expand()
+        if model.coordinates[r] in angles or masses[0, 1] or not (along.is_number and around.is_number):
+            continue
+        if along > 0 and abs(around - along) <= _SIMILAR * along:
+            return r, phi
+    return None
+
+
+def _fall(model: LagrangianModel, r: int, phi: int, distance: float) -> float | None:
+    """φ of the downward direction at this distance, as in `hanging_angles`; None without a cosine of φ."""
+    q, rates, _ = state_symbols(model.coordinates)
+    at_rest = model.lagrangian.subs(dict.fromkeys(rates, 0)).expand()
+    try:
+        a, b = (float(at_rest.coeff(f(q[phi])).subs(q[r], distance)) for f in (sp.cos, sp.sin))
+    except TypeError:  # not a number, because the field changes with time
+        return None
+    return math.atan2(b, a) if math.hypot(a, b) > 0 else None
 
 
 def hanging_angles(model: LagrangianModel, links: Sequence[str] = ()) -> tuple[list[float] | None, bool]:
@@ -113,7 +155,7 @@ class Lengths:
 
 
 def link_lengths(
-    model: LagrangianModel, down: Sequence[float], *, joined: bool = False, slides: int = 0
+    model: LagrangianModel, down: Sequence[float] | None, *, joined: bool = False, slides: int = 0
 ) -> Lengths | None:
     """Lengths of links from the law and from those that the user gave; None if they are not known.
 
@@ -124,7 +166,7 @@ def link_lengths(
     Parameters
     ----------
     model : LagrangianModel
-    down : sequence of float
+    down : sequence of float, or None
         As from `hanging_angles`.
     joined : bool
         Whether each angle is relative to the previous link.
@@ -143,7 +185,7 @@ def link_lengths(
     given = model.provenance.get("options", {}).get("lengths", {})
     links = model.coordinates[slides:]
     told = any(name in given for name in links), links[-1] in given
-    found = _row(model, down, joined, slides)
+    found = _by_law(model, down, joined, slides)
     if found is None:
         values = tuple(given[name] for name in links if name in given)
         return Lengths(values, True, *told) if len(values) == len(links) else None
@@ -158,33 +200,54 @@ def link_lengths(
     return Lengths(tuple(given.get(name, scale * by_law[name]) for name in links), True, *told)
 
 
-def _row(model: LagrangianModel, down: Sequence[float], joined: bool, slides: int) -> list[float] | None:
-    """Lengths by the last row of the mass matrix; None if it is not that of a chain."""
-    n = model.n_dof - slides
+def _masses(model: LagrangianModel) -> tuple[list[sp.Symbol], Any]:
+    """Coordinates, and the mass matrix at rest; zero if it has no value there."""
     q, rates, _ = state_symbols(model.coordinates)
-    entries = [sp.diff(model.lagrangian, rates[-1], rate) for rate in rates]
-    if {*sp.Tuple(*entries).free_symbols} - {*q} or not entries[-1]:
+    masses = sp.hessian(model.lagrangian, rates).subs(dict.fromkeys(rates, 0))
+    return q, sp.zeros(len(q)) if masses.has(sp.DiracDelta, sp.zoo, sp.oo, sp.nan) else masses
+
+
+def _by_law(
+    model: LagrangianModel, down: Sequence[float] | None, joined: bool, slides: int
+) -> list[float] | None:
+    """Lengths by the last row of the mass matrix; None if they are not known or could not be seen."""
+    masses = _chain(model, down, joined, slides)
+    if masses is None:
         return None
-    row = sp.lambdify(q, entries, modules="numpy")
+    lengths = masses[-1, slides:] / (abs(masses[-1, 0]) if slides else 1.0)
+    return lengths.tolist() if lengths.min() > _SHORTEST * lengths.max() else None
+
+
+def _chain(
+    model: LagrangianModel, down: Sequence[float] | None, joined: bool, slides: int, apart: float = _APART
+) -> np.ndarray | None:
+    """Mass matrix of a hanging chain, for absolute angles; None if the model is not that of a chain.
+
+    With absolute angles, its entries are c_ij cos(θ_i − θ_j), c_ij > 0; for a cart, θ_i = 0 and c_ij ≠ 0.
+    """
+    n = model.n_dof - slides
+    q, entries = _masses(model)
+    if entries.free_symbols - {*q}:
+        return None
+    masses = sp.lambdify(q, entries, modules="numpy")
     # from angles of the links, measured from down, to the coordinates and their rates
-    steps = np.eye(n) - (np.eye(n, k=-1) if joined else 0.0)
-    change = np.block([[np.eye(slides), np.zeros((slides, n))], [np.zeros((n, slides)), steps]])
+    change = np.eye(slides + n)
+    change[slides:, slides:] -= np.eye(n, k=-1) if joined else 0.0
+    zero = np.concatenate([np.zeros(slides), np.zeros(n) if down is None else down])
 
-    def at(angles: np.ndarray) -> np.ndarray:
-        place = np.concatenate([np.zeros(slides), steps @ angles + np.asarray(down)])
+    def at(turned: np.ndarray) -> np.ndarray:
         with np.errstate(all="ignore"):
-            return np.array([float(entry) for entry in row(*place)]) @ change
+            return change.T @ np.asarray(masses(*(change @ turned + zero)), dtype=float) @ change
 
-    hanging = at(np.zeros(n))
-    if not np.isfinite(hanging).all():
+    hanging = at(np.zeros(slides + n))
+    if not (np.isfinite(hanging).all() and hanging[slides:, slides:].min() > 0.0 and hanging[0, 1:].all()):
         return None
     for angles in np.random.default_rng(0).uniform(-2.0, 2.0, (_STATES, n)):
-        between = np.cos(np.concatenate([np.full(slides, angles[-1]), angles[-1] - angles]))
-        if not np.allclose(at(angles), hanging * between, rtol=0.0, atol=_APART * abs(hanging).max()):
+        turned = np.concatenate([np.zeros(slides), angles])
+        expected = hanging * np.cos(turned[:, None] - turned)
+        if not (abs(at(turned) - expected) <= apart * abs(hanging)).all():
             return None
-    lengths = hanging[slides:] / (abs(hanging[0]) if slides and hanging[0] else 1.0)
-    seen = lengths.min() > _SHORTEST * lengths.max() and (hanging[0] or not slides)
-    return lengths.tolist() if seen else None
+    return hanging
 
 
 def _coupling(model: LagrangianModel, slide: str, link: str) -> float:
@@ -197,15 +260,28 @@ def frames(motion: Motion, model: LagrangianModel, most: int = 900, kind: Kind =
     """Times and frames, as JSON types.
 
     Links are given by their lengths in pixels and their directions from down, anticlockwise; sliding bodies
-    in pixels to the right, and in a plane also upwards. A missing sample repeats the previous one; after the
+    in pixels to the right, and points also upwards. A missing sample repeats the previous one; after the
     end of the forecast there is null. ``known`` holds the fields of `Lengths`, or null.
     """
     step = -(-motion.t.size // most)
-    t = motion.t[::step]
+    t, measured = motion.t[::step], _filled(motion.measured)
+    places, shown = _polar_places(model, measured) if kind == "polar" else _places(model, measured, kind)
+    return {
+        "kind": kind,
+        "t": [round(float(x - t[0]), 5) for x in t],
+        "measured": _rows(places(measured[::step])),
+        "forecast": _rows(places(motion.forecast[::step])),
+        **shown,
+    }
+
+
+def _places(model: LagrangianModel, measured: np.ndarray, kind: Kind) -> tuple[_Places, dict[str, Any]]:
+    """Rows of the frames for coordinates, and the other entries of `frames`."""
     slides = {"links": 0, "cart": 1}.get(kind, model.n_dof)
-    measured, forecast = _filled(motion.measured), motion.forecast
     middle = np.nan_to_num(np.nanmean(measured, axis=0))
-    down, joined, lengths = _links(model, slides)
+    linked = slides < model.n_dof
+    down, joined = _pose(model, slides) if linked else (None, False)
+    lengths = link_lengths(model, down, joined=joined, slides=slides) if linked else None
     offset = middle.copy()
     if down is not None:
         offset[slides:] = down
@@ -220,34 +296,43 @@ def frames(motion: Motion, model: LagrangianModel, most: int = 900, kind: Kind =
         turn = math.copysign(1.0, _coupling(model, *model.coordinates[:2]) * math.cos(down[0]))
 
     def places(q: np.ndarray) -> np.ndarray:
-        shifted = q[::step] - offset
+        shifted = q - offset
         shifted[:, :slides] *= scale
         if joined:
             shifted[:, slides:] = np.cumsum(shifted[:, slides:], axis=1)
         shifted[:, slides:] *= turn
         return shifted
 
-    drawn = {"measured": _rows(places(measured)), "forecast": _rows(places(forecast))}
-    return {
-        "kind": kind,
-        "t": [round(float(x - t[0]), 5) for x in t],
-        **drawn,
+    return places, {
         "down": down is not None,
         "lengths": [round(length, 2) for length in drawn_lengths],
         "known": None if lengths is None else asdict(lengths),
     }
 
 
-def _links(model: LagrangianModel, slides: int) -> tuple[list[float] | None, bool, Lengths | None]:
-    """What `hanging_angles` returns, and the lengths."""
-    if slides >= model.n_dof:
-        return None, False, None
+def _polar_places(model: LagrangianModel, measured: np.ndarray) -> tuple[_Places, dict[str, Any]]:
+    """As `_places`, for a point: to the right at φ = 0, or at the bottom where φ is downward."""
+    found = _polar(model)
+    assert found is not None
+    r, phi = found
+    distance = np.abs(measured[:, r])
+    scale = _REACH / max(float(np.nanmax(distance)), 1e-12)
+    down = _fall(model, r, phi, float(np.nanmedian(distance)))
+    right = 0.0 if down is None else down + math.pi / 2
+
+    def places(q: np.ndarray) -> np.ndarray:
+        turned = q[:, phi] - right
+        return scale * q[:, [r]] * np.column_stack([np.cos(turned), np.sin(turned)])
+
+    return places, {"down": down is not None, "lengths": [], "known": None}
+
+
+def _pose(model: LagrangianModel, slides: int) -> tuple[list[float] | None, bool]:
+    """What `hanging_angles` returns; without gravity, the kinetic energy shows what the angles refer to."""
     down, joined = hanging_angles(model, model.coordinates[slides:])
-    zero = down or [0.0] * (model.n_dof - slides)
-    if down is None and len(zero) > 1:
-        # without gravity, the kinetic energy shows what the angles are relative to
-        joined = not _row(model, zero, False, slides) and bool(_row(model, zero, True, slides))
-    return down, joined, link_lengths(model, zero, joined=joined, slides=slides)
+    if down is None and model.n_dof - slides > 1:
+        joined = _chain(model, None, False, slides) is None and _chain(model, None, True, slides) is not None
+    return down, joined
 
 
 def _scale(lengths: Lengths | None, n: int, way: float | None) -> tuple[float, list[float]]:
@@ -261,9 +346,12 @@ def _scale(lengths: Lengths | None, n: int, way: float | None) -> tuple[float, l
 
 
 def stick_words(kind: Kind, model: LagrangianModel, shown: dict[str, Any]) -> str:
-    """What is to scale in the drawing of `frames`, and what is not."""
-    parts = []
-    known = shown["known"]
+    """What is to scale in the drawing of `frames`, and what is not; for no drawing, the reason."""
+    if not kind:
+        return _NOTHING
+    parts, known = list[str](), shown["known"]
+    if kind == "polar":
+        parts.append("The small dot is the origin of the polar coordinates. Distances are to scale.")
     if kind == "links" and model.n_dof > 1:
         parts.append(
             _words_of_lengths(Lengths(**known))

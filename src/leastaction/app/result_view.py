@@ -204,13 +204,13 @@ class ResultView:
             with html.p().classes("keys"):
                 say("measured", "key dots", "span")
                 say("forecast", "key line forecast", "span")
-            kind = stick_kind(model.coordinates, self._angles)
+            kind = stick_kind(model, self._angles)
             with html.div().classes("halves" if kind else "stack"):
-                if kind:
-                    with html.div():
-                        data = frames(motion, model, kind=kind)
+                with html.div():
+                    data = frames(motion, model, kind=kind) if kind else {}
+                    if kind:
                         _Stick(data)
-                        say(stick_words(kind, model, data), "help")
+                    say(stick_words(kind, model, data), "help")
                 self.figures = html.div().classes("figures" if kind else "figures side")
         ui.timer(
             0.01, self.page.guarded(lambda box=self.figures: self._draw(box, found, notation)), once=True

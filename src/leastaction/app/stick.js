@@ -1,5 +1,5 @@
-// Links, a cart with links, a point in a plane, or blocks on a rail: measured behind, forecast in front. Colours come
-// from the style sheet; motion.py says what is drawn.
+// Links, a cart with links, a point about an origin or in a plane, or blocks on a rail: measured behind, forecast in
+// front. Colours come from the style sheet; motion.py says what is drawn.
 export default {
   template: `
     <figure>
@@ -13,7 +13,7 @@ export default {
             <circle v-for="p in shape(side).joints" :cx="p[0]" :cy="p[1]" r="4.5" />
           </g>
         </template>
-        <circle v-if="frames.kind === 'links'" class="pivot" cx="0" cy="0" r="3" />
+        <circle v-if="pivoted" class="pivot" cx="0" cy="0" r="3" />
       </svg>
       <div class="controls">
         <button type="button" @click="toggle" class="play">{{ playing ? "Pause" : "Play" }}</button>
@@ -46,9 +46,12 @@ export default {
     sliding() {
       return this.frames.kind === "cart" || this.frames.kind === "blocks";
     },
+    pivoted() {
+      return this.frames.kind === "links" || this.frames.kind === "polar";
+    },
     words() {
       const names = { links: "Links", cart: "Cart with links", plane: "Point in the plane", blocks: "Blocks" };
-      return names[this.frames.kind];
+      return names[this.frames.kind] ?? "Point about an origin";
     },
     rail() {
       return this.sliding ? "M-1000 10H1000" : "";
@@ -70,7 +73,7 @@ export default {
     points(row) {
       if (!row) return null;
       const kind = this.frames.kind;
-      if (kind === "plane") return [[row[0], -row[1]]];
+      if (kind === "plane" || kind === "polar") return [[row[0], -row[1]]];
       if (kind === "blocks") return row.map((x, k) => [x + 260 * (k - (row.length - 1) / 2), 0]);
       const angles = kind === "cart" ? row.slice(1) : row;
       const points = [[kind === "cart" ? row[0] : 0, 0]];
@@ -85,6 +88,8 @@ export default {
       if (!points) return null;
       const kind = this.frames.kind;
       if (kind === "plane") return { line: "", carts: [], joints: points };
+      // What hangs is held from the origin.
+      if (kind === "polar") return { line: this.frames.down ? `M0 0L${points[0].join(" ")}` : "", carts: [], joints: points };
       if (kind === "blocks") return { line: "", carts: points, joints: [] };
       const line = "M" + points.map((p) => p.join(" ")).join("L");
       return { line, carts: kind === "cart" ? [points[0]] : [], joints: points.slice(1) };
