@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import json
 import warnings
 from collections.abc import Iterator
 from dataclasses import replace
@@ -230,6 +231,42 @@ def test_the_result_shows_simple_numbers_and_symmetries():
         user.find(marker="step-result").click()
         await user.should_see("Not computed if the law depends on time.")
         await user.should_not_see("Simple numbers")
+
+    simulate(script)
+
+
+def test_a_session_can_be_saved_from_the_moment_that_data_are_open():
+    async def script(user) -> None:
+        await user.should_not_see(marker="save")
+        session = await open_candidates(user, "single")
+        await user.should_see("8 expressions, all readable")
+        user.find(marker="save").click()
+        response = await user.download.next(timeout=30)
+        assert response.content.startswith(b"PK")
+        # With a model, the result is there when the file is opened, and its forecasts follow.
+        terms = [ModelTerm("theta_dot**2", 1.0, known=True), ModelTerm("cos(theta)", -128.1, 0.02)]
+        options = {"options": {"angles": ["theta"]}}
+        model = LagrangianModel(["theta"], terms, covariance=[[4e-4]], provenance=options)
+        session.found, session.searched = {0: Found(model, "fitted")}, session.choice
+        content = session.save()
+        session.open_example("double")
+        assert not session.found
+        upload(session, "mine.leastaction", content)
+        user.find(marker="step-data").click()
+        await user.should_see("What was measured")
+        user.find(marker="step-result").click()
+        await user.should_see("Coefficients")
+        await user.should_see("A session does not store the search.")
+        # Another page of the session, such as one before a reload, may take the result first.
+        await until(lambda: session.collect() or session.current.stage == "forecast")
+        await user.should_see("Simulated for")
+        assert session.current.validation is not None
+        assert not next(iter(user.find(marker="report").elements)).enabled
+        for marker in ("model", "all", "save"):
+            assert next(iter(user.find(marker=marker).elements)).enabled
+        user.find(marker="model").click()
+        response = await user.download.next(timeout=30)
+        assert LagrangianModel.from_dict(json.loads(response.content)).to_dict() == model.to_dict()
 
     simulate(script)
 

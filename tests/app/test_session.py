@@ -40,10 +40,10 @@ from leastaction.app.columns import (
     UNUSED,
     VELOCITY,
 )
-from leastaction.app.jobs import Motion
+from leastaction.app.jobs import Found, Motion, Walk
 from leastaction.app.motion import frames, hanging_angles, link_lengths, stick_kind, stick_words
 from leastaction.app.remedies import proposed
-from leastaction.app.session import Session, Walk
+from leastaction.app.session import Session
 from leastaction.app.worker import Worker, in_words
 from leastaction.exporters import FORMATS
 from leastaction.findings import CODES, Finding
@@ -886,34 +886,127 @@ def test_a_session_is_saved_and_opened_again(session):
         upload(other, "mine.leastaction", content)
         assert (other.title, other.roles, other.choice) == (session.title, session.roles, session.choice)
         assert other.data.digest() == session.data.digest()
-        assert "find the Lagrangian again" in other.hint
+        assert "find the Lagrangian to see a result" in other.hint
+        assert not other.found
         other.open_example("single")
         assert other.hint == ""
     finally:
         other.close()
 
 
+def members_of(content: bytes) -> dict[str, bytes]:
+    with zipfile.ZipFile(io.BytesIO(content)) as file:
+        return {name: file.read(name) for name in file.namelist()}
+
+
+def test_a_session_of_an_earlier_version_still_opens(session):
+    """As written before sessions held a model; choices that came later are missing."""
+    said = {
+        "leastaction session": 1,
+        "title": "a.csv",
+        "tables": ["a.csv"],
+        "roles": {"t": TIME, "x": COORDINATE, "x_dot": UNUSED},
+        "choice": {"written": True, "text": "x_dot**2\nx**2", "known": "x_dot**2 = 1", "held_out": 0},
+    }
+    content = {"session.json": json.dumps(said).encode(), "tables/a.csv": swing(1.0)}
+    upload(session, "old.leastaction", _files.archive(content))
+    assert (session.title, session.data.coordinates) == ("a.csv", ("x",))
+    assert session.choice == Choice(written=True, text="x_dot**2\nx**2", known="x_dot**2 = 1")
+    assert not session.found
+
+
+def test_an_earlier_version_reads_sessions_with_a_model(session):
+    """It reads these entries, and ignores others."""
+    upload(session, "a.csv", swing(1.0))
+    session.found = {0: Found(oscillator(), "fitted")}
+    members = members_of(session.save())
+    said = json.loads(members.pop("session.json"))
+    assert said["leastaction session"] == 1
+    assert {"title", "tables", "roles", "choice"} <= {*said}
+    assert la.LagrangianModel.from_dict(json.loads(members["model.json"])).to_dict() == oscillator().to_dict()
+
+
+def oscillator() -> la.LagrangianModel:
+    """The law of `swing`."""
+    terms = [ModelTerm("x_dot**2", 1.0, known=True), ModelTerm("x**2", -9.0, 0.1)]
+    options = {"angles": [], "lengths": {}}
+    return la.LagrangianModel(["x"], terms, covariance=[[0.01]], provenance={"options": options})
+
+
 @pytest.mark.parametrize(
     "change",
     [
         {"choice": {"held_out": "many"}},
+        {"choice": {"delay": math.nan}},
+        {"searched": {"friction": "x"}},
         {"tables": ["../../etc/passwd"]},
+        {"tables": ["a.csv", "a.csv"]},
         {"tables": []},
         {"roles": 3},
         {"leastaction session": 99},
+        {"model.json": b"{"},
+        {"model.json": b"[" * 10_000},
+        {"model.json": 3},
+        {"coordinates": ["y"]},
+        {"terms": []},
+        {
+            "terms": [
+                {"expression": "__import__('os')", "coefficient": 1, "standard_error": None, "known": True}
+            ]
+        },
+        {"fit": {"status": "ok"}},
+        {"provenance": {"options": 3}},
+        {"provenance": {"options": {"lengths": {"x": "long"}}}},
+        {"covariance": [[1.0, 0.0]]},
     ],
 )
 def test_a_damaged_session_is_refused(session, change):
+    """In one line; what was open stays open."""
     upload(session, "a.csv", swing(1.0))
-    with zipfile.ZipFile(io.BytesIO(session.save())) as file:
-        members = {name: file.read(name) for name in file.namelist()}
-    said = json.loads(members["session.json"]) | change
-    members["session.json"] = json.dumps(said).encode()
-    with pytest.raises(InputError, match="session cannot be opened"):
-        upload(session, "b.leastaction", _files.archive(members))
-    with pytest.raises(InputError, match="session cannot be opened"):
-        upload(session, "b.leastaction", b"PK nothing")
+    session.found = {0: Found(oscillator(), "fitted")}
+    members = members_of(session.save())
+    ((entry, value),) = change.items()
+    if entry == "model.json":
+        members[entry] = value if isinstance(value, bytes) else json.dumps(value).encode()
+    else:
+        name = (
+            "session.json"
+            if entry in ("choice", "searched", "tables", "roles", "leastaction session")
+            else "model.json"
+        )
+        members[name] = json.dumps(json.loads(members[name]) | change).encode()
+    for content in (_files.archive(members), b"PK nothing"):
+        with pytest.raises(InputError, match="session cannot be opened") as error:
+            upload(session, "b.leastaction", content)
+        assert "\n" not in str(error.value)
     assert session.title == "a.csv"
+    assert session.found
+
+
+def test_a_session_that_was_changed_on_the_way_is_refused_or_opens(session, rng):
+    """Whatever byte is damaged: one line, or a session."""
+    upload(session, "a.csv", swing(1.0))
+    session.found = {0: Found(oscillator(), "fitted")}
+    content, messages = session.save(), []
+    for place in rng.integers(len(content), size=60):
+        damaged = bytearray(content)
+        damaged[place] ^= int(rng.integers(1, 256))
+        try:
+            _files.open_saved(bytes(damaged))
+        except InputError as error:
+            messages.append(str(error))
+    assert messages
+    assert all("session cannot be opened" in text and "\n" not in text for text in messages)
+
+
+def test_a_model_of_other_coordinates_has_no_forecast(session):
+    upload(session, "a.csv", swing(1.0))
+    model = la.LagrangianModel(["y"], [ModelTerm("y_dot**2", 1.0)])
+    session.found, session.searched = {0: Found(model, "fitted")}, session.choice
+    upload(session, "b.leastaction", session.save())
+    assert session.faults == {0: "the model of this session is of y, but its data are of x"}
+    assert not session.waiting
+    assert (session.task, session.job) == (None, None)
 
 
 def test_every_export_is_in_the_archive():
@@ -1018,6 +1111,45 @@ def test_a_step_is_answered_at_once_and_refined_behind(walking):
     assert walking.current is best
     assert walking.go_to(chosen + 1) is None
     assert walking.current is third
+
+
+def test_the_result_is_saved_and_shown_again(walking):
+    """The same law with the same errors at once, and the same forecasts after a while."""
+    before = walking.current
+    walking.choice.held_out, walking.choice.every_third = 0, False  # after the search
+    content = walking.save()
+    walking.choice = replace(walking.searched)
+    other = Session()
+    try:
+        upload(other, "mine.leastaction", content)
+        assert other.choice.every_third is False
+        assert other.searched == walking.searched
+        assert other.current.stage in ("fitted", "forecast")
+        assert other.current.model.to_dict() == before.model.to_dict()
+        assert other.current.model.diagnostics is None
+        assert other.walk.points == ()
+        until(other, lambda: not other.waiting)
+        after = other.current
+        assert after.motion.held_out
+        np.testing.assert_allclose(after.validation.rms, before.validation.rms, rtol=1e-6)
+        np.testing.assert_allclose(after.motion.forecast, before.motion.forecast, rtol=1e-6, atol=1e-9)
+        assert json.loads(other.write_model()) == json.loads(walking.write_model())
+        with zipfile.ZipFile(io.BytesIO(other.write_everything())) as file:
+            assert "leastaction_model.py" in file.namelist()
+            assert "report.html" not in file.namelist()
+        with pytest.raises(InputError, match="has no diagnostics"):
+            other.write_report()
+        assert members_of(other.save())["model.json"] == members_of(content)["model.json"]
+    finally:
+        other.close()
+
+
+def test_a_provisional_model_is_not_saved(walking):
+    walking.go_to(walking.walk.chosen + 1)
+    walking.stay()
+    assert walking.current.stage == "provisional"
+    model = json.loads(members_of(walking.save())["model.json"])
+    assert model == json.loads(json.dumps(walking.best.model.to_dict()))
 
 
 @pytest.mark.thorough

@@ -4,7 +4,7 @@ NiceGUI, on which it is built, is an extra and is imported only when the app sta
 
 * ``server.py``: start, port, token and cookie; guards: origins, host names, size of uploads, a policy that
   lets the browser load from this server only.
-* ``page.py``: header and steps; one session per browser tab, which outlives a reload.
+* ``page.py``: header with steps and the button to save; one session per browser tab, which outlives a reload.
 * ``data_view.py``, ``candidates_view.py``, ``running_view.py``, ``result_view.py``, ``verdict_view.py``,
   ``walk_view.py``, ``parts.py``: the three steps, the trade-off curve, small pieces.
 * ``arm_view.py``: robot arms, from a log and a URDF to the report.

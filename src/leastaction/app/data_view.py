@@ -138,7 +138,7 @@ class DataView:
         self._tell("Reading…")
 
     def _loaded(self) -> None:
-        self.page.show("arm" if self.session.arm else "data")
+        self.page.show("arm" if self.session.arm else "result" if self.session.found else "data")
 
     def _tell(self, text: str) -> None:
         self.message.clear()

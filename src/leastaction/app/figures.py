@@ -13,8 +13,7 @@ from leastaction.report.figures_model import draw_forecast, draw_path, path_axes
 
 if TYPE_CHECKING:
     from leastaction import Trajectory
-    from leastaction.app.jobs import Motion
-    from leastaction.app.session import Walk
+    from leastaction.app.jobs import Motion, Walk
     from leastaction.curve.motion import SmoothMotion
 
 __all__ = ["data_figure", "forecast_figure", "walk_figure"]

@@ -1,7 +1,7 @@
 """Uploads, examples and downloads of the app: checked uploads, exports, and saved sessions.
 
-A saved session is a ZIP archive of the tables and the choices. It contains no results, because loading them
-would execute content of a file. They are computed again from the same choices.
+A saved session is a ZIP archive of the tables, the choices and, once there is one, the model as in
+``model.json``. All of it is checked when it is read, and nothing is executed. The search is not stored.
 """
 
 from __future__ import annotations
@@ -9,17 +9,20 @@ from __future__ import annotations
 import gzip
 import io
 import json
+import math
 import re
 import zipfile
 import zlib
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, fields
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from leastaction.app.candidates import Choice
+from leastaction.app.jobs import derive
 from leastaction.errors import DataError, InputError
 from leastaction.exporters import FORMATS
+from leastaction.model import file as model_file
 
 if TYPE_CHECKING:
     from leastaction import LagrangianModel
@@ -76,8 +79,9 @@ EXAMPLES = {
 }
 """Name of a measured example -> its title and description."""
 _VERSION = 1
+_MODEL = "model.json"
 _MOST_FILES = 1000
-_MOST_SAID = 100_000  # bytes of session.json
+_MOST_SAID = 1_000_000  # bytes of session.json
 
 
 def exported(model: LagrangianModel, format: str) -> tuple[str, bytes]:
@@ -118,27 +122,34 @@ def archive(members: Mapping[str, bytes]) -> bytes:
     return out.getvalue()
 
 
+@dataclass(frozen=True, eq=False)
 class Saved:
     """Content of a saved session.
 
     Attributes
     ----------
     title : str
-    tables : dict
+    tables : mapping
         Name of a file -> its content, in the given order.
-    roles : dict
+    roles : mapping
         Column -> role.
     choice : Choice
+    model : LagrangianModel or None
+        The model that was shown.
+    searched : Choice or None
+        The choices with which it was found; None if they are those of `choice`, which may change later.
     """
 
-    def __init__(
-        self, title: str, tables: Mapping[str, bytes], roles: Mapping[str, str], choice: Choice
-    ) -> None:
-        self.title, self.tables, self.roles, self.choice = title, dict(tables), dict(roles), choice
+    title: str
+    tables: Mapping[str, bytes]
+    roles: Mapping[str, str]
+    choice: Choice
+    model: LagrangianModel | None = None
+    searched: Choice | None = None
 
 
 def saved(session: Saved) -> bytes:
-    """A session as one file."""
+    """A session as one file. Earlier versions read it, too, without the model."""
     said = {
         "leastaction session": _VERSION,
         "title": session.title,
@@ -146,8 +157,13 @@ def saved(session: Saved) -> bytes:
         "roles": session.roles,
         "choice": asdict(session.choice),
     }
-    tables = {f"tables/{name}": content for name, content in session.tables.items()}
-    return archive({"session.json": json.dumps(said, ensure_ascii=False, indent=1).encode(), **tables})
+    if session.searched not in (None, session.choice):
+        said["searched"] = asdict(session.searched)
+    parts = {f"tables/{name}": content for name, content in session.tables.items()}
+    model = b"" if session.model is None else model_file.to_text(session.model.to_dict()).encode()
+    if 0 < len(model) <= model_file.MAX_BYTES:
+        parts[_MODEL] = model
+    return archive({"session.json": json.dumps(said, ensure_ascii=False, indent=1).encode(), **parts})
 
 
 def open_saved(content: bytes) -> Saved:
@@ -160,20 +176,56 @@ def open_saved(content: bytes) -> Saved:
     """
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as file:
-            sizes = {part.filename: part.file_size for part in file.infolist()}
-            if sum(sizes.values()) > MOST_BYTES or sizes.get("session.json", 0) > _MOST_SAID:
-                raise InputError(
-                    f"this session holds more than {MOST_BYTES // 1_000_000} MB when it is unpacked"
-                )
-            said = json.loads(file.read("session.json"))
-            names = _texts(said["tables"])
-            tables = {plain_name(name): file.read(f"tables/{name}") for name in names}
-            roles = {str(column): str(role) for column, role in said["roles"].items()}
-            if said["leastaction session"] != _VERSION or not names or len(names) > _MOST_FILES:
-                raise ValueError("of another version")
-            return Saved(str(said["title"])[:200], tables, roles, _choice(said["choice"]))
-    except (zipfile.BadZipFile, KeyError, TypeError, ValueError, AttributeError, zlib.error) as error:
-        raise InputError(f"this session cannot be opened ({type(error).__name__}: {error})") from None
+            return _read(file)
+    except InputError as error:
+        reason = str(error)
+    except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
+        reason = f"an entry is missing or wrong, {type(error).__name__}: {error}"
+    except (zipfile.BadZipFile, zlib.error, RuntimeError, EOFError, OSError) as error:
+        reason = f"it is damaged or cut short, {type(error).__name__}: {error}"
+    raise InputError(
+        f"this session cannot be opened ({reason}); open another copy of the file, or the tables themselves"
+    )
+
+
+def _read(file: zipfile.ZipFile) -> Saved:
+    parts = file.infolist()
+    sizes = {part.filename: part.file_size for part in parts}
+    if sum(sizes.values()) > MOST_BYTES or sizes.get("session.json", 0) > _MOST_SAID:
+        raise InputError(f"it holds more than {MOST_BYTES // 1_000_000} MB when it is unpacked")
+    if any(part.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED) for part in parts):
+        raise InputError("it is compressed in an unknown way")
+    said = json.loads(file.read("session.json"))
+    if said["leastaction session"] != _VERSION:
+        raise InputError("it is of another version")
+    names = _texts(said["tables"])
+    if not 0 < len({*names}) == len(names) <= _MOST_FILES:
+        raise InputError("its list of tables is empty, too long, or names one twice")
+    return Saved(
+        str(said["title"])[:200],
+        {plain_name(name): file.read(f"tables/{name}") for name in names},
+        {str(column): str(role) for column, role in said["roles"].items()},
+        _choice(said["choice"]),
+        _model(file.read(_MODEL)) if _MODEL in sizes else None,
+        _choice(said["searched"]) if "searched" in said else None,
+    )
+
+
+def _model(content: bytes) -> LagrangianModel:
+    """A model with everything that the page shows of it, so that damaged figures are noticed at once."""
+    from leastaction.model.gravity import checked_lengths
+    from leastaction.model.mathml import Notation
+    from leastaction.model.model import LagrangianModel
+    from leastaction.report.tables import coefficient_groups
+
+    model = LagrangianModel.from_dict(model_file.parse(content, _MODEL), _MODEL)
+    checked_lengths(model.provenance.get("options", {}).get("lengths", {}), model.coordinates)
+    derive(model)
+    _ = (
+        model.fit.statements,
+        coefficient_groups(model, Notation.of_fit(model.coordinates, model.fit.findings)),
+    )
+    return model
 
 
 def _choice(said: Mapping[str, Any]) -> Choice:
@@ -186,6 +238,8 @@ def _choice(said: Mapping[str, Any]) -> Choice:
             value = _texts(value)
         elif isinstance(like, float):
             value = float(value)
+            if not math.isfinite(value):
+                raise ValueError(f"{field.name} is {value!r}")
         elif type(value) is not type(like):
             raise ValueError(f"{field.name} is {value!r}")
         out[field.name] = value

@@ -1,7 +1,8 @@
-"""Jobs of the worker: a discovery, a refit, and forecasts of their models."""
+"""Jobs of the worker: a discovery, a refit, and forecasts of their models; and what they return."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
@@ -10,13 +11,14 @@ import numpy as np
 
 from leastaction.app.candidates import Task
 from leastaction.errors import DataError, InputError
+from leastaction.findings import because
 
 if TYPE_CHECKING:
     from leastaction import LagrangianModel, Trajectories
     from leastaction.model.diagnostics import PathPoint
     from leastaction.simulation.forecast import ForecastResult
 
-__all__ = ["Found", "Motion", "forecast", "refine", "search"]
+__all__ = ["Found", "Motion", "Walk", "derive", "forecast", "refine", "search"]
 
 _LONGEST = 20.0  # seconds of a forecast that is shown
 _SHARE = 0.6  # of a trial
@@ -71,6 +73,57 @@ class Found:
     motion_fault: str = ""
 
 
+@dataclass(frozen=True)
+class Walk:
+    """The best structure of each size, by increasing size; the chosen one for its own size.
+
+    Attributes
+    ----------
+    points : tuple of PathPoint
+    relevance : float or None
+        Share of the equation error that a term had to remove to stay.
+    """
+
+    points: tuple[PathPoint, ...]
+    relevance: float | None = None
+
+    @classmethod
+    def of(cls, model: LagrangianModel) -> Walk:
+        """The curve of a discovered model; without points if there are no diagnostics."""
+        best: dict[int, PathPoint] = {}
+        for point in model.diagnostics.path if model.diagnostics else ():
+            finite = math.isfinite(point.bic) and math.isfinite(point.cost)
+            if finite and (point.chosen or point.n_terms not in best):
+                best[point.n_terms] = point
+        relevance = model.provenance.get("options", {}).get("relevance")
+        return cls(tuple(best[size] for size in sorted(best)), relevance)
+
+    @property
+    def chosen(self) -> int:
+        """Position of the chosen structure."""
+        return next((k for k, point in enumerate(self.points) if point.chosen), 0)
+
+    def difference(self, place: int) -> tuple[list[str], list[str]]:
+        """Terms that a structure has in addition to, and that it lacks relative to, the chosen one."""
+        here, there = self.points[place].written, self.points[self.chosen].written
+        return [e for e in here if e not in there], [e for e in there if e not in here]
+
+    def verdict(self, place: int) -> str:
+        """Comparison of a structure with the chosen one by the criterion, and reason, in words."""
+        point = self.points[place]
+        if point.chosen:
+            return "This is the structure that leastaction chose."
+        size, why = f"{abs(point.bic):.3g}", because(point.reason, self.relevance)
+        if point.bic >= 0:
+            text = f"The criterion prefers the chosen structure by {size}; 10 is already a strong preference."
+        else:
+            text = f"By the criterion alone, this structure is better by {size}."
+        if not why:
+            return text
+        hint = " On hardware, such terms imitate missing ones." if point.reason == "irrelevant" else ""
+        return f"{text} It was not chosen because {why}.{hint}"
+
+
 def search(progress: Callable[[str, dict], None], task: Task) -> Found:
     """Discover a model and forecast with it."""
     import leastaction as la
@@ -87,11 +140,11 @@ def search(progress: Callable[[str, dict], None], task: Task) -> Found:
         relevance=task.relevance,
         progress=lambda s, d: progress(s, _plain(d)),
     )
-    _derive(model)
+    derive(model)
     return forecast(progress, task, model)
 
 
-def _derive(model: LagrangianModel) -> None:
+def derive(model: LagrangianModel) -> None:
     """Compute properties of the law for the page; they are cached with the model."""
     _ = model.symmetries, model.simple_constants, model.small_motions
 
@@ -101,7 +154,7 @@ def refine(progress: Callable[[str, dict], None], model: LagrangianModel, point:
     from leastaction.refit import refit
 
     found = refit(model, point, lambda s, d: progress(s, _plain(d)))
-    _derive(found)
+    derive(found)
     return Found(found, "fitted")
 
 

@@ -14,7 +14,8 @@ from typing import Any
 from nicegui import html, ui
 
 from leastaction.app import arm_view, candidates_view, data_view, result_view
-from leastaction.app.parts import say
+from leastaction.app.files import SESSION
+from leastaction.app.parts import action, aside, say
 from leastaction.app.session import Session
 from leastaction.app.worker import explain, in_words
 
@@ -70,6 +71,9 @@ class Page:
         with html.header().classes("top"):
             say("leastaction", "brand", "span")
             self.steps = html.nav().classes("steps").props('aria-label="Steps"')
+            self.save = action("", self.guarded(self._save), "plain save", "save")
+            with self.save.props('icon=save aria-label="Save session"'):
+                say("Save session", "words", "span")
             self.theme = ui.button("\N{CIRCLE WITH LEFT HALF BLACK}", on_click=self._next_theme, color=None)
             self.theme.props("flat round dense").classes("theme")
         self._name_theme()
@@ -88,8 +92,9 @@ class Page:
             ui.run_javascript("window.scrollTo(0, 0)")
 
     def mark_steps(self) -> None:
-        """Mark the available steps and the open one."""
+        """Mark the available steps and the open one; offer to save what is open."""
         session = self.session
+        self.save.set_visibility(session.can_be_saved)
         there = {
             "data": True,
             "candidates": session.data is not None,
@@ -138,6 +143,10 @@ class Page:
                     )
 
         return run
+
+    async def _save(self) -> None:
+        name = self.session.title.partition(".")[0].replace(" ", "_")
+        ui.download.content(await aside(self.session.save), f"{name}{SESSION}", "application/zip")
 
     def _next_theme(self) -> None:
         values = list(_THEMES)

@@ -126,7 +126,9 @@ def _in_degrees(finding: Finding, choice: Choice, library: Library) -> Iterable[
 
 
 def _in_milliseconds(finding: Finding, choice: Choice, library: Library) -> Iterable[Offer]:
-    yield Offer("Times in ms", choice, {str(finding.values["column"]): columns.MILLISECONDS})
+    column = finding.values.get("column")
+    if isinstance(column, str):
+        yield Offer("Times in ms", choice, {column: columns.MILLISECONDS})
 
 
 def _move(finding: Finding, choice: Choice, library: Library) -> Iterable[Offer]:

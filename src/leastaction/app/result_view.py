@@ -10,7 +10,7 @@ from nicegui import html, ui
 
 from leastaction.app.columns import written_names
 from leastaction.app.figures import forecast_figure
-from leastaction.app.files import SESSION, exported
+from leastaction.app.files import exported
 from leastaction.app.motion import frames, stick_kind, stick_words
 from leastaction.app.parts import (
     action,
@@ -124,7 +124,6 @@ class ResultView:
                     self._exports()
                 self.no_exports = action("Export", lambda: None, "plain", "export")
                 self.no_exports.set_enabled(False)
-                action("Save session", self.page.guarded(self._save), "plain", "save").props("icon=save")
 
     def _download(self, name: str, make: Callable[[], Awaitable[None]]) -> ui.button:
         button = action(name, self.page.guarded(make), "plain", name.partition(".")[0])
@@ -134,8 +133,8 @@ class ResultView:
         """Offer the downloads that this model has."""
         fitted = found.stage != "provisional"
         self.json.set_enabled(fitted)
-        for button in (self.report, self.all):
-            button.set_enabled(fitted and not self.session.waiting)
+        self.all.set_enabled(fitted and not self.session.waiting)
+        self.report.set_enabled(self.all.enabled and found.model.diagnostics is not None)
         self.exports.set_visibility(fitted)
         self.no_exports.set_visibility(not fitted)
 
@@ -282,10 +281,6 @@ class ResultView:
 
     async def _everything(self) -> None:
         ui.download.content(await aside(self.session.write_everything), "leastaction.zip", "application/zip")
-
-    async def _save(self) -> None:
-        name = self.session.title.partition(".")[0].replace(" ", "_")
-        ui.download.content(await aside(self.session.save), f"{name}{SESSION}", "application/zip")
 
     async def _model(self) -> None:
         text = await aside(self.session.write_model)

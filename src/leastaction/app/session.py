@@ -2,29 +2,27 @@
 
 from __future__ import annotations
 
-import math
+import copy
 import shutil
 import tempfile
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from leastaction.app import columns, files
 from leastaction.app.arm import ROBOTS, ArmLog, identify
 from leastaction.app.candidates import Choice, Task
-from leastaction.app.jobs import Found, forecast, refine, search
+from leastaction.app.jobs import Found, Walk, forecast, refine, search
 from leastaction.app.worker import Job, Worker, in_words
 from leastaction.errors import DataError, InputError
-from leastaction.findings import because
 from leastaction.refit import provisional
 
 if TYPE_CHECKING:
     from leastaction import LagrangianModel, Trajectories
     from leastaction.curve.motion import SmoothMotion
-    from leastaction.model.diagnostics import PathPoint
 
-__all__ = ["Session", "Walk"]
+__all__ = ["Session"]
 
 _PATIENCE = 2.0  # seconds: time to restart a stopped process
 
@@ -45,6 +43,8 @@ class Session:
     choice : Choice
     task, job : Task or None, Job or None
         The last discovery; once there is a model, the job is that of a refit or a forecast.
+    searched : Choice
+        The choices of that discovery.
     found : dict
         Position on the trade-off curve -> its model, at any stage.
     faults : dict
@@ -67,6 +67,7 @@ class Session:
     shown: int = 0
     choice: Choice = field(default_factory=Choice)
     task: Task | None = None
+    searched: Choice = field(default_factory=Choice)
     job: Job | None = None
     found: dict[int, Found] = field(default_factory=dict)
     faults: dict[int, str] = field(default_factory=dict)
@@ -160,12 +161,39 @@ class Session:
     def _open_saved(self, saved: files.Saved) -> None:
         paths = self._kept(list(saved.tables.items()))
         self._open(paths, saved.title, saved.choice, saved.roles)
-        self.hint = "Data and choices are restored; find the Lagrangian again to see the result."
+        if saved.model is None or self.data is None:
+            self.hint = "Data and choices are restored; find the Lagrangian to see a result."
+            return
+        self.searched = saved.searched or saved.choice
+        self._show_saved(saved.model, self.data)
+
+    def _show_saved(self, model: LagrangianModel, data: Trajectories) -> None:
+        """Show a model of a file and begin its forecasts, which are not stored."""
+        self.found = {0: Found(model, "fitted")}
+        try:
+            task = self.searched.task(data, self.angles)
+            if task.library.coordinates != model.coordinates:
+                of_model, of_data = map(", ".join, (model.coordinates, task.library.coordinates))
+                raise InputError(f"the model of this session is of {of_model}, but its data are of {of_data}")
+        except InputError as error:
+            self.task, self.faults = None, {0: str(error)}
+        else:
+            self.task = task
+        self._advance()
+
+    @property
+    def can_be_saved(self) -> bool:
+        """Whether there is something to save: a table that is not the log of an arm."""
+        return self.columns is not None and self.arm is None
 
     def save(self) -> bytes:
-        """The session as one file: tables, roles of the columns, choices."""
+        """The session as one file: tables, roles of the columns, choices, and the model if there is one."""
         tables = {path.name: path.read_bytes() for path in self._paths}
-        return files.saved(files.Saved(self.title, tables, self.roles, self.choice))
+        content = files.Saved(self.title, tables, self.roles, self.choice)
+        if self.found:
+            shown = self.best if self.current.stage == "provisional" else self.current
+            content = replace(content, model=shown.model, searched=self.searched)
+        return files.saved(content)
 
     def open_example(self, key: str) -> None:
         """Open one of the measured pendulums of the package, with the candidates of the demonstration."""
@@ -237,7 +265,7 @@ class Session:
         """
         if self.data is None:
             raise InputError("there are no data yet; open a file or an example first")
-        self.task = self.choice.task(self.data, self.angles)
+        self.task, self.searched = self.choice.task(self.data, self.angles), copy.deepcopy(self.choice)
         self.forget()
         self.job = self.worker.start(search, self.task)
         return self.job
@@ -340,57 +368,8 @@ class Session:
         return path.read_text(encoding="utf-8")
 
     def write_everything(self) -> bytes:
-        """Report, model and every export of the shown model, in one archive."""
-        texts = {"report.html": self.write_report(), "model.json": self.write_model()}
+        """Model, every export and, after a search, the report of the shown model, in one archive."""
+        texts = {"model.json": self.write_model()}
+        if self.current.model.diagnostics is not None:
+            texts["report.html"] = self.write_report()
         return files.everything(self.current.model, texts)
-
-
-@dataclass(frozen=True)
-class Walk:
-    """The best structure of each size, by increasing size; the chosen one for its own size.
-
-    Attributes
-    ----------
-    points : tuple of PathPoint
-    relevance : float or None
-        Share of the equation error that a term had to remove to stay.
-    """
-
-    points: tuple[PathPoint, ...]
-    relevance: float | None = None
-
-    @classmethod
-    def of(cls, model: LagrangianModel) -> Walk:
-        """The curve of a discovered model; without points if there are no diagnostics."""
-        best: dict[int, PathPoint] = {}
-        for point in model.diagnostics.path if model.diagnostics else ():
-            finite = math.isfinite(point.bic) and math.isfinite(point.cost)
-            if finite and (point.chosen or point.n_terms not in best):
-                best[point.n_terms] = point
-        relevance = model.provenance.get("options", {}).get("relevance")
-        return cls(tuple(best[size] for size in sorted(best)), relevance)
-
-    @property
-    def chosen(self) -> int:
-        """Position of the chosen structure."""
-        return next((k for k, point in enumerate(self.points) if point.chosen), 0)
-
-    def difference(self, place: int) -> tuple[list[str], list[str]]:
-        """Terms that a structure has in addition to, and that it lacks relative to, the chosen one."""
-        here, there = self.points[place].written, self.points[self.chosen].written
-        return [e for e in here if e not in there], [e for e in there if e not in here]
-
-    def verdict(self, place: int) -> str:
-        """Comparison of a structure with the chosen one by the criterion, and reason, in words."""
-        point = self.points[place]
-        if point.chosen:
-            return "This is the structure that leastaction chose."
-        size, why = f"{abs(point.bic):.3g}", because(point.reason, self.relevance)
-        if point.bic >= 0:
-            text = f"The criterion prefers the chosen structure by {size}; 10 is already a strong preference."
-        else:
-            text = f"By the criterion alone, this structure is better by {size}."
-        if not why:
-            return text
-        hint = " On hardware, such terms imitate missing ones." if point.reason == "irrelevant" else ""
-        return f"{text} It was not chosen because {why}.{hint}"

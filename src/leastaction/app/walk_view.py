@@ -11,10 +11,15 @@ from leastaction.app.figures import walk_figure
 from leastaction.app.parts import action, aside, drawn, math, panel, say, title
 
 if TYPE_CHECKING:
+    from leastaction.app.jobs import Found
     from leastaction.app.page import Page
     from leastaction.model.mathml import Notation
 
 __all__ = ["WalkPanel"]
+
+_NOT_STORED = (
+    "A session does not store the search. Find the Lagrangian again for the trade-off curve and the report."
+)
 
 
 class WalkPanel:
@@ -24,30 +29,37 @@ class WalkPanel:
         self.page, self.session, self.notation, self.refresh = page, page.session, notation, refresh
 
     def build(self) -> None:
-        walk = self.session.walk
+        self.moves = len(self.session.walk.points) > 1
         with panel("walk"):
             title("How many terms?")
-            if len(walk.points) < 2:
+            if self.moves:
+                self._controls()
+            elif self.session.best.model.diagnostics is None:
+                say(_NOT_STORED, "hint")
+            else:
                 say("There is only one structure.", "help")
-                return
-            with html.p().classes("keys"):
-                say("criterion (BIC)", "key line", "span")
-                say("misfit alone", "key dash", "span")
-                say("chosen", "key big", "span")
-            self.figure = html.div().classes("figures")
-            with html.div().classes("mover"):
-                action("−", self.page.guarded(lambda: self._go(-1)), "quiet", "fewer").props(
-                    'aria-label="Fewer terms"'
-                )
-                self.slider = ui.slider(min=0, max=len(walk.points) - 1, step=1, value=self.session.place)
-                self.slider.props('aria-label="Number of terms"').mark("place")
-                self.slider.on("change", self.page.guarded(lambda: self._go_to(int(self.slider.value or 0))))
-                action("+", self.page.guarded(lambda: self._go(1)), "quiet", "more").props(
-                    'aria-label="More terms"'
-                )
-            self.words = html.div().classes("stack").props("aria-live=polite")
+        # Without steps, too: the forecasts of a model from a session follow.
         self.timer = ui.timer(0.2, self.page.guarded(self._follow), active=False)
         self._arrived()
+
+    def _controls(self) -> None:
+        with html.p().classes("keys"):
+            say("criterion (BIC)", "key line", "span")
+            say("misfit alone", "key dash", "span")
+            say("chosen", "key big", "span")
+        self.figure = html.div().classes("figures")
+        with html.div().classes("mover"):
+            action("−", self.page.guarded(lambda: self._go(-1)), "quiet", "fewer").props(
+                'aria-label="Fewer terms"'
+            )
+            last = len(self.session.walk.points) - 1
+            self.slider = ui.slider(min=0, max=last, step=1, value=self.session.place)
+            self.slider.props('aria-label="Number of terms"').mark("place")
+            self.slider.on("change", self.page.guarded(lambda: self._go_to(int(self.slider.value or 0))))
+            action("+", self.page.guarded(lambda: self._go(1)), "quiet", "more").props(
+                'aria-label="More terms"'
+            )
+        self.words = html.div().classes("stack").props("aria-live=polite")
 
     def _go(self, step: int) -> None:
         self._go_to(self.session.place + step)
@@ -62,11 +74,15 @@ class WalkPanel:
         self._arrived()
 
     def _follow(self) -> None:
-        changed = self.session.collect()
-        if changed:
+        self.session.collect()
+        if not self.session.found or (self.moves and not self.session.walk.points):
+            self.timer.deactivate()  # other data are open by now
+            return
+        if self._state != self.seen:  # another page of this session may have collected the result
+            self.seen = self._state
             self.refresh()
             self._describe()
-        elif self.session.job is not None and self.session.waiting:
+        elif self.moves and self.session.job is not None and self.session.waiting:
             self.progress.text = f"{self._doing()}… {self.session.job.seconds:.0f} s"
         if self.session.job is None:
             self.timer.deactivate()
@@ -77,11 +93,18 @@ class WalkPanel:
         self.refresh()
         self._describe()
 
+    @property
+    def _state(self) -> tuple[int, Found, str | None]:
+        session = self.session
+        return session.place, session.current, session.faults.get(session.place)
+
     def _arrived(self) -> None:
+        self.seen = self._state
         self._describe()
         if self.session.job is not None:
             self.timer.activate()
-        ui.timer(0.01, self.page.guarded(self._draw), once=True)
+        if self.moves:
+            ui.timer(0.01, self.page.guarded(self._draw), once=True)
 
     def _doing(self) -> str:
         return "Refining" if self.session.current.stage == "provisional" else "Forecasting"
@@ -96,6 +119,8 @@ class WalkPanel:
 
     def _describe(self) -> None:
         session = self.session
+        if not self.moves:
+            return
         self.words.clear()
         with self.words:
             walk, place = session.walk, session.place

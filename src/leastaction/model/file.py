@@ -60,7 +60,7 @@ from leastaction.model.term import FitSummary, ModelTerm, ShapeParameter, as_flo
 if TYPE_CHECKING:
     from leastaction.model.model import LagrangianModel
 
-__all__ = ["MAX_BYTES", "MAX_TERMS", "SCHEMA", "encode", "fields", "load", "plain_json", "to_text"]
+__all__ = ["MAX_BYTES", "MAX_TERMS", "SCHEMA", "encode", "fields", "load", "parse", "plain_json", "to_text"]
 
 SCHEMA = 2
 MAX_BYTES = 10_000_000
@@ -175,19 +175,18 @@ def load(path: str | os.PathLike[str]) -> LagrangianModel:
     """
     from leastaction.model.model import LagrangianModel  # circular import
 
-    return LagrangianModel.from_dict(_read_document(path), os.fspath(path))
+    file = check_path(path)
+    return LagrangianModel.from_dict(parse(read_bytes(file, MAX_BYTES + 1), str(file)), os.fspath(path))
 
 
-def _read_document(path: str | os.PathLike[str]) -> Any:
-    """Read a file as strict JSON, without a check of its content.
+def parse(data: bytes, file: str) -> Any:
+    """Read the content of a file as strict JSON, without a check against the schema.
 
     Raises
     ------
     InputError
-        If there is no such file, it is larger than 10 MB, or not JSON; the text names the file.
+        If it is larger than 10 MB, or not JSON; the text names the file.
     """
-    file = check_path(path)
-    data = read_bytes(file, MAX_BYTES + 1)
     if len(data) > MAX_BYTES:
         raise InputError(f"{file} is larger than {MAX_BYTES // 10**6} MB; a file with a model is far smaller")
     try:
