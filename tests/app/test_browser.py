@@ -480,6 +480,7 @@ def states_of_the_result(tab: Tab, look) -> None:
 
 
 def states_of_an_arm(tab: Tab, look, folder: Path) -> None:
+    tab.page.locator(".step").first.click()
     tab.page.locator("input[type=file]").set_input_files(page_helpers.arm_log(folder))
     tab.see("Identify the arm")
     look("an arm")
