@@ -28,6 +28,7 @@ import socket
 from leastaction.app import page as _page
 from leastaction.app import server as _server
 from leastaction.app.columns import ANGLE, MILLISECONDS
+from leastaction.app.data_view import labels
 from leastaction.app.jobs import Found
 from leastaction.app.remedies import proposed, take
 from leastaction.app.result_view import compared
@@ -111,6 +112,9 @@ def test_from_an_example_to_a_result_and_along_the_curve():
         await until(lambda: session.current.stage == "forecast")
         await user.should_see("taken from the trade-off curve by hand")
         await user.should_see("Simulated for")
+        names = session.data.names
+        short = labels(names)[names.index(session.current.motion.trial)]
+        await user.should_see(f"along trial {short},")
         await user.should_not_see("provisional")
         await until(lambda: session.job is None)
         user.find(marker="report").click()

@@ -9,6 +9,7 @@ import numpy as np
 from nicegui import html, ui
 
 from leastaction.app.columns import written_names
+from leastaction.app.data_view import labels
 from leastaction.app.figures import forecast_figure
 from leastaction.app.files import exported
 from leastaction.app.motion import frames, stick_kind, stick_words
@@ -189,7 +190,9 @@ class ResultView:
                 self._no_forecast(found)
                 return
             kind = "which was held out of the fit" if motion.held_out else "which is part of the fit"
-            where = f"trial {motion.trial}" if motion.trial else "the data"
+            names = self.session.data.names if self.session.data else ()
+            short = dict(zip(names, labels(names), strict=True)).get(motion.trial, motion.trial)
+            where = f"trial {short}" if short else "the data"
             length = motion.t[-1] - motion.t[0]
             holds = f"agrees for {motion.valid_time:.3g} s"
             if motion.valid_time > 0.99 * length:
