@@ -233,13 +233,13 @@ def _show_coefficients(chosen: Demo, model: LagrangianModel) -> None:
     """
     rows = [("term", "found", "published", "difference", "z")]
     headings = {}
-    kinds = ((model.terms, chosen.published), (model.dissipation, chosen.published_dissipation))
-    for terms, published in kinds:
-        found = {term.expression for term in terms}
-        alike = True
-        if terms is model.dissipation:
-            headings[len(rows)] = "friction, psi:"
-            alike = found == {*published}
+    same_friction = {term.expression for term in model.dissipation} == {*chosen.published_dissipation}
+    kinds = (
+        ("", model.terms, chosen.published, True),
+        ("friction, psi:", model.dissipation, chosen.published_dissipation, same_friction),
+    )
+    for heading, terms, published, alike in kinds:
+        headings |= {len(rows): heading} if heading else {}
         for term in terms:
             there = published.get(term.expression)
             z = "" if term.known else f"{term.z:.0f}"
@@ -248,11 +248,12 @@ def _show_coefficients(chosen: Demo, model: LagrangianModel) -> None:
             else:
                 off = f"{100 * (term.coefficient / there - 1):+.2f} %" if alike and not term.known else ""
                 rows.append((term.expression, with_error(term), f"{there:.5g}", off, z))
+        found = {term.expression for term in terms}
         rows += [
             (text, "-", f"{value:.5g}", "", "") for text, value in published.items() if text not in found
         ]
     show_table(rows, headings)
-    if not alike:
+    if not same_friction:
         say("The published model has other friction terms; single coefficients of friction do not compare.")
 
 

@@ -79,7 +79,7 @@ def undeclared_angles(search: Search, names: Sequence[str]) -> list[Finding]:
 
 
 def perhaps_angles(problem: Problem) -> list[str]:
-    """Coordinates with the name of an angle that nobody calls one, and without a sine or cosine."""
+    """Coordinates named like angles that were not declared as such and occur in no sine or cosine."""
     plain = [n for n in problem.coordinates if n not in (*problem.angles, *problem.candidates.turning)]
     return [name for name in plain if name.lower().startswith(ANGLE_NAMES)]
 

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -159,7 +160,11 @@ class _Hunt:
         self.first = self.windows(*HIDDEN.stages[0][:2])
         self.scales = scales_of(problem, self.first, period)
         self.sizes = term_sizes(problem, self.first, self.scales, rng)
-        self.signs = signs_without(problem, self.members, self.windows(*HIDDEN.last[:2]))
+
+    @cached_property
+    def signs(self) -> np.ndarray:
+        """(n_members,) signs that a regression gives; only draws need them."""
+        return signs_without(self.problem, self.members, self.windows(*HIDDEN.last[:2]))
 
     def windows(self, factor: float, most: int | None) -> Windows:
         """Windows of ``factor`` times the first length."""
@@ -170,8 +175,9 @@ class _Hunt:
     def drawn(self) -> Solutions:
         """The best of many draws after all stages except the last."""
         sizes = self.sizes[self.members]
-        where = self.first, self.scales, self.rng
-        given = draw_coefficients(self.problem, self.members, sizes, self.signs, *where)
+        given = draw_coefficients(
+            self.problem, self.members, sizes, self.signs, self.first, self.scales, self.rng
+        )
         nothing = np.zeros((len(given), 0))
         found = Solutions(given, nothing, nothing)
         for stage in HIDDEN.stages:
