@@ -21,6 +21,7 @@ from leastaction import (
     write_report,
 )
 from leastaction.curve.bspline import SplineGrid, uniform_space
+from leastaction.findings import find
 from leastaction.mechanics.equations import state_symbols
 from leastaction.model.diagnostics import PathPoint, pareto
 from leastaction.model.mathml import Notation, number_parts
@@ -45,7 +46,7 @@ from leastaction.report.svg import COLOURS, corners, dot_path, line_path, number
 from leastaction.report.tables import motion_rows, pareto_rows, path_rows, symmetry_rows
 from leastaction.report.text import in_powers, plain
 from leastaction.report.ticks import Linear, Ticks
-from leastaction.report.verdict import in_symbols, verdict
+from leastaction.report.verdict import in_symbols, unlike_noise, verdict
 from leastaction.simulation.forecast import ForecastResult, ForecastTrace
 from page_helpers import Figure, Page, pieces, spring
 
@@ -422,6 +423,46 @@ def test_nothing_is_green_beside_a_contradiction(result, against):
     assert head["status"] == "ok"
     assert bool(head["against"]) == against
     assert head["tone"] == ("doubtful" if against else "ok")
+
+
+def test_residuals_unlike_noise_are_a_reservation_in_the_verdict(rng):
+    noise = 0.01 * rng.standard_normal(301)
+    smooth = 0.01 * np.sqrt(2) * np.sin(np.arange(301) / 3)
+    jumps = noise.copy()
+    jumps[::20] = 0.05 * rng.choice([-1, 1], jumps[::20].size)
+    sentence = "are not white, normal noise: intervals may be too narrow or too wide"
+    for residuals, odd in ((noise, False), (smooth, True), (jumps, True)):
+        series = with_residuals(residuals)
+        head = verdict(series.model, None, Notation(["x"]))
+        assert odd == ("are not white" in residual_title(series, 0, "x"))  # the caption and the box agree
+        assert odd == any(sentence in note for note in head["reservations"])
+        assert (head["status"], head["tone"]) == ("ok", "usable" if odd else "ok")
+    diverged = verdict(series.model, forecast(np.inf, 0.01, "diverged"), Notation(["x"]))
+    assert diverged["tone"] == "doubtful"
+    # a note on the same residuals takes the place of the sentence, one on those of a velocity does not
+    for quantity, said in (("position", False), ("velocity", True)):
+        note = find("correlated-residuals", "x", quantity=quantity, correlation=0.9)
+        model = replace(with_residuals(smooth).model, fit=FitSummary("ok", 1.0, findings=[note]))
+        head = verdict(model, None, Notation(["x"]))
+        assert said == any(sentence in text for text in head["reservations"])
+        assert head["tone"] == "usable"
+    assert unlike_noise(replace(model, diagnostics=None)) == []
+
+
+def test_a_curve_without_an_equation_may_follow_the_noise():
+    one = with_residuals(0.01 * np.sqrt(2) * np.sin(np.arange(301) / 3)).model.diagnostics
+    trial = one.trajectories[0]
+    both = Trajectories([Trajectory(trial.t, np.hstack([trial.q, trial.q]), coordinates=["x", "l"])])
+    points = np.hstack([one.control_points, one.control_points])
+    diagnostics = replace(one, trajectories=both, control_points=points)
+    terms = [ModelTerm("x_dot**2", 0.25, known=True), ModelTerm("x**2", -1.0, 0.002), ModelTerm("x*l", 1.0)]
+    model = LagrangianModel(["x", "l"], terms, noise_std=[0.01, 0.01], diagnostics=diagnostics)
+    assert unlike_noise(model) == ["x", "l"]
+    model = replace(model, provenance={"options": {"prescribed": ["l"]}})
+    assert unlike_noise(model) == ["x"]
+    assert residual_title(Series(model), 1, "l") == (
+        "l: no equation constrains the curve, so it follows part of the noise"
+    )
 
 
 def test_sentences_have_symbols_where_they_have_names():

@@ -10,7 +10,7 @@ from nicegui import html, ui
 from leastaction.app.parts import math, say
 from leastaction.errors import InputError
 from leastaction.findings import usability, with_held_out
-from leastaction.report.verdict import contradictions, in_symbols, terms_in
+from leastaction.report.verdict import contradictions, in_symbols, not_noise, terms_in, unlike_noise
 
 if TYPE_CHECKING:
     from leastaction import LagrangianModel
@@ -25,17 +25,25 @@ _HEADINGS = {
     "doubtful": "Do not trust this model yet:",
 }
 _CONTRADICTED = "The fit passed all checks, but its forecasts contradict it:"
+_RESERVED = "The equations hold along the data, with a reservation:"
 
 
 def status(model: LagrangianModel, validation: ForecastResult | None, notation: Notation) -> None:
-    """Status, warnings and statements; nothing that forecasts of held-out trials contradict is green."""
-    against = contradictions(validation) if model.fit.status == "ok" else []
-    warnings = [*against, *model.fit.sentences("warning", "page")]
-    heading, does = _HEADINGS[model.fit.status], usability(model.fit.findings)
-    with html.div().classes(f"status {'doubtful' if against else model.fit.status}"):
+    """Status, warnings and statements; nothing that forecasts or residuals contradict is green."""
+    ok, deviating = model.fit.status == "ok", unlike_noise(model)
+    against = contradictions(validation) if ok else []
+    residuals = [not_noise(deviating)] if deviating else []
+    warnings = [*against, *model.fit.sentences("warning", "page"), *residuals]
+    heading = _HEADINGS[model.fit.status].format(does=usability(model.fit.findings))
+    tone = model.fit.status
+    if against:
+        heading, tone = _CONTRADICTED, "doubtful"
+    elif ok and deviating:
+        heading, tone = _RESERVED, "usable"
+    with html.div().classes(f"status {tone}"):
         with html.p():
             say(model.fit.status, "badge", "span")
-            say(_CONTRADICTED if against else heading.format(does=does), "", "span")
+            say(heading, "", "span")
         if warnings:
             with html.ul():
                 for text in warnings:

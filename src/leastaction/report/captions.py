@@ -31,6 +31,7 @@ __all__ = [
     "SYMMETRY_HEAD",
     "SYMMETRY_TITLE",
     "curve_title",
+    "departures",
     "energy_title",
     "forecast_title",
     "motion_note",
@@ -119,11 +120,17 @@ def _ratio(series: Series, i: int) -> float:
     return float(np.sqrt(np.mean(series.all_residuals(i) ** 2))) / sigma if sigma > 0 else math.nan
 
 
-def residual_title(series: Series, i: int, name: str) -> str:
-    """Whether the residuals resemble white, normal noise."""
+def departures(series: Series, i: int) -> list[str]:
+    """Ways in which the residuals of a coordinate differ from white, normal noise; the verdict reads them.
+
+    None for a prescribed coordinate: no equation constrains its curve, so the curve follows part of the
+    noise, and correlated residuals are no sign of a fault.
+    """
+    if i not in series.measured or series.model.coordinates[i] in series.model.prescribed:
+        return []
     residuals, lags = series.all_residuals(i), series.correlation(i)
     sigma = max(float(series.model.noise_std[i]), 1e-300)
-    findings = []
+    findings: list[str] = []
     chance = 4.0 / math.sqrt(max(residuals.size, 1))
     if lags.size and abs(lags[0]) > _LAG_ONE + chance:
         findings.append(f"correlated from sample to sample ({signed(float(lags[0]), 2)})")
@@ -133,6 +140,14 @@ def residual_title(series: Series, i: int, name: str) -> str:
     beyond = float(np.mean(np.abs(residuals) > 3 * sigma))
     if beyond > _TAIL:
         findings.append(f"{percent(beyond)} of them lie beyond 3 σ (0.27 % for normal noise)")
+    return findings
+
+
+def residual_title(series: Series, i: int, name: str) -> str:
+    """Whether the residuals resemble white, normal noise."""
+    if series.model.coordinates[i] in series.model.prescribed:
+        return f"{name}: no equation constrains the curve, so it follows part of the noise"
+    findings = departures(series, i)
     if not findings:
         return f"{name}: the residuals resemble white, normal noise"
     return f"{name}: the residuals are not white, normal noise: {'; '.join(findings)}"

@@ -14,10 +14,12 @@ from leastaction.findings import STATED, Finding, alike, stated_error, with_held
 from leastaction.model.mathml import Notation
 from leastaction.model.model import LagrangianModel
 from leastaction.model.term import as_float
-from leastaction.report.text import percent, plain, plural
+from leastaction.report.captions import departures
+from leastaction.report.series import Series
+from leastaction.report.text import listed, percent, plain, plural
 from leastaction.simulation.forecast import ForecastResult
 
-__all__ = ["contradictions", "in_symbols", "terms_in", "verdict"]
+__all__ = ["contradictions", "in_symbols", "not_noise", "terms_in", "unlike_noise", "verdict"]
 
 _HELD = 0.9
 """Share of held-out samples in the 95 % band below which forecasts contradict the standard errors."""
@@ -48,18 +50,25 @@ def verdict(model: LagrangianModel, validation: ForecastResult | None, notation:
     findings = model.fit.findings
     notes = [f for f in findings if f.severity == "note"]
     words = terms_in(model, findings)
-    against = contradictions(validation) if model.fit.status == "ok" else []
-    said = {
+    ok = model.fit.status == "ok"
+    against = contradictions(validation) if ok else []
+    deviating = unlike_noise(model)
+    said: dict[str, list[Markup]] = {
         key: [_in_words(group, notation, words) for group in alike(some)]
         for key, some in {
             "reservations": [f for f in notes if f.code not in _PREPARED and f.code not in STATED],
             "prepared": [f for f in notes if f.code in _PREPARED],
         }.items()
     }
+    coloured = [f for f in notes if f.code == "correlated-residuals" and f.values["quantity"] == "position"]
+    noted = {name for f in coloured for name in f.subject}
+    if unsaid := [name for name in deviating if name not in noted]:
+        said["reservations"].append(in_symbols(not_noise(unsaid), notation, words))
     return {
         "status": model.fit.status,
-        "tone": "doubtful" if against else model.fit.status,
+        "tone": "doubtful" if against else "usable" if ok and deviating else model.fit.status,
         "against": against,
+        "deviating": bool(deviating),
         "warnings": [
             (in_symbols(f.message, notation, words), in_symbols(f.remedy, notation, words))
             for f in findings
@@ -136,6 +145,26 @@ def contradictions(result: ForecastResult | None) -> list[str]:
     if not inside.size and worst_share(result) > _FAR and ratios.size and ratios.max() > 2.0:
         return [f"forecasts of held-out trials are off by {percent(worst_share(result))} of the spread"]
     return []
+
+
+def unlike_noise(model: LagrangianModel) -> list[str]:
+    """Coordinates with residuals that the report does not call white, normal noise; none without data."""
+    if model.diagnostics is None:
+        return []
+    series = Series(model)
+    return [name for i, name in enumerate(model.coordinates) if departures(series, i)]
+
+
+def not_noise(names: list[str]) -> str:
+    """The reservation about the residuals of some coordinates.
+
+    Examples
+    --------
+    >>> not_noise(["x", "theta"])
+    'the residuals of x, theta are not white, normal noise: intervals may be too narrow or too wide'
+    """
+    what = "are not white, normal noise: intervals may be too narrow or too wide"
+    return f"the residuals of {listed(names)} {what}"
 
 
 def _free_runs(model: LagrangianModel) -> str:
