@@ -16,6 +16,7 @@ import sympy as sp
 
 from leastaction.data.validation import close_match, listed
 from leastaction.errors import InputError, MissingPackageError
+from leastaction.findings import as_given, smoothing_widths
 from leastaction.identifiers import quoted
 from leastaction.library import Library, time_symbol
 from leastaction.model.model import LagrangianModel
@@ -139,7 +140,12 @@ def _terms(what: LagrangianModel | Library) -> list[tuple[str, str, sp.Expr]]:
             ("lagrangian", what.terms, what.expressions),
             ("dissipation", what.dissipation, what.dissipation_expressions),
         )
-        return [(t.expression, kind, e) for kind, ts, es in parts for t, e in zip(ts, es, strict=True)]
+        widths = smoothing_widths(what.fit.findings)
+        return [
+            (as_given(t.expression, widths), kind, e)
+            for kind, ts, es in parts
+            for t, e in zip(ts, es, strict=True)
+        ]
     raise InputError(f"{quoted(what)} has no units to check; pass a model or a Library")
 
 

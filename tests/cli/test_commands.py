@@ -30,7 +30,7 @@ from leastaction.cli import program
 from leastaction.cli import show as _show
 from leastaction.cli import text as _text
 from leastaction.cli import values as _values
-from leastaction.findings import find
+from leastaction.findings import Finding, find
 from leastaction.model.term import FitSummary, ModelTerm
 
 COMMANDS = (
@@ -200,6 +200,26 @@ def test_notes_do_not_repeat_the_statements_or_the_law(capsys):
             "forecast: simulations over 1 s of fitted trials are off by 3 % of the spread"
             in capsys.readouterr().out
         )
+
+
+def test_show_writes_dry_friction_as_it_was_given(tmp_path):
+    findings = [
+        find("friction-smoothed", ("x_dot",), widths=[0.02]),
+        Finding("other", "warning", (), {}, "sqrt(x_dot**2 + 1/2500) is hardly determined"),
+    ]
+    root = ModelTerm("sqrt(x_dot**2 + 1/2500)", 0.1, 0.01)
+    model = la.LagrangianModel(
+        ["x"], [ModelTerm("x_dot**2", 0.5, known=True)], [root], noise_std=[0.01],
+        fit=FitSummary("doubtful", 1.0, findings=findings),
+    )  # fmt: skip
+    model.save(tmp_path / "model.json")
+    shown = run("show", tmp_path / "model.json")
+    assert "psi = 0.100*abs(x_dot)" in shown.stdout
+    assert any(line.startswith("abs(x_dot)  ") for line in shown.stdout.splitlines())
+    assert "WARNING: abs(x_dot) is hardly determined" in shown.stdout
+    assert "abs(x_dot) is hardly determined" in shown.stderr
+    assert "sqrt" not in shown.stdout + shown.stderr
+    assert la.load(tmp_path / "model.json").dissipation[0].expression == root.expression
 
 
 def test_discover_shows_a_doubtful_model(work, tmp_path):
@@ -526,6 +546,7 @@ def test_demo(tmp_path):
     errors = [float(rows[name].split()[2]) for name in ("found model", "published model")]
     assert errors[0] < errors[1]
     assert result.stdout.splitlines()[-1] == f"report: {tmp_path / 'demo' / 'report.html'}"
+    assert float(rows["abs(theta_dot)"].split()[1]) > 0
     # its authors fitted viscous friction alone, ours is divided between viscous and dry
     assert "%" not in rows["theta_dot**2/2"]
     assert "single coefficients of friction do not compare" in result.stdout

@@ -27,8 +27,9 @@ from leastaction.errors import InputError
 from leastaction.exporters import FORMATS
 from leastaction.exporters.chains import chain_of
 from leastaction.exporters.write import export
+from leastaction.findings import find
 from leastaction.library import format_expression
-from leastaction.model.model import LagrangianModel, ModelTerm
+from leastaction.model.model import FitSummary, LagrangianModel, ModelTerm
 
 
 @pytest.fixture(params=MODELS, scope="module")
@@ -483,6 +484,28 @@ def test_masses_of_a_chain_have_the_coefficients_of_the_law(name):
     )
     root = ElementTree.fromstring(export(model, "urdf"))
     assert [joint.get("type") for joint in root.iter("joint")] == ["continuous"] * len(names)
+
+
+def test_comments_show_dry_friction_as_it_was_given():
+    """The code has the root that was fitted, and a comment says how wide it is."""
+    friction = [ModelTerm("sqrt(a_dot**2 + 1/2500)", 0.2)]
+    fit = FitSummary(findings=[find("friction-smoothed", ["a_dot"], widths=[0.02])])
+    terms = [ModelTerm("a_dot**2", 1.0), ModelTerm("cos(a)", 9.0)]
+    smoothed = LagrangianModel(["a"], terms, friction, fit=fit)
+    note = "abs() of velocities is smoothed near zero (a_dot below 0.02)"
+    for format in ("python", "c", "julia", "mjcf", "latex"):
+        text = export(smoothed, format)
+        assert text.count(note) == 1
+        assert "sqrt(a_dot**2 + 1/2500)" not in text
+    assert "friction abs(a_dot)" in export(smoothed, "mjcf")
+    assert r"\left|{\dot{a}}\right|" in export(smoothed, "latex")
+    namespace = {}
+    exec(export(smoothed, "python"), namespace)
+    for rate in (0.0, 0.01, 1.0):  # inside the width, the force rises linearly
+        found = namespace["acceleration"]([0.3], [rate])
+        np.testing.assert_allclose(found, smoothed.acceleration([0.3], [rate]), rtol=1e-14)
+        friction_force = -0.2 * rate / np.sqrt(rate**2 + 1 / 2500)
+        np.testing.assert_allclose(2.0 * found[0], friction_force - 9.0 * np.sin(0.3), rtol=1e-12)
 
 
 def test_what_is_no_chain_says_so():

@@ -28,14 +28,17 @@ from leastaction.findings import (
     UNDECIDED,
     Figures,
     Finding,
+    as_given,
     find,
     sentence,
+    smoothing_widths,
     stated,
     statements,
     status_of,
     usability,
     with_held_out,
 )
+from leastaction.library import make_term, smooth_abs
 from leastaction.model.term import FitSummary
 
 # ------------------------------------ the value: immutable, hashable, the same behind pickle and JSON
@@ -486,3 +489,61 @@ def test_held_out_trials_replace_the_statement_on_forecasts(shares, diverged, sa
     before = statements([])
     assert with_held_out(before, forecast) == {**before, "forecast": said}
     assert with_held_out(before, None) == before
+
+
+# ---------------------------------------------------------------------- terms as the user wrote them
+@pytest.mark.parametrize(
+    ("given", "shown"),
+    [
+        ("abs(x_dot)", "abs(x_dot)"),
+        ("x_dot*abs(x_dot)/2", "x_dot*abs(x_dot)/2"),
+        ("abs(x_dot)**3/3", "abs(x_dot)**3/3"),
+        ("abs(a_dot-x_dot)**3/3", "abs(a_dot - x_dot)**3/3"),
+        ("abs(x_dot)*abs(cos(a))", "abs(x_dot)*abs(cos(a))"),
+        ("-{s}*exp(-abs(x_dot)/{s})", "-{s}*exp(-abs(x_dot)/{s})"),
+        ("abs(x_dot)**{n}", "abs(x_dot)**{n}"),
+        ("abs(x_dot)**1.5", "abs(x_dot)**(3/2)"),
+        ("abs(a*x_dot)", "abs(a*x_dot)"),
+        ("abs(a_dot*cos(a)-x_dot*(1+cos(x)))", "abs(a_dot*cos(a) - x_dot*(cos(x) + 1))"),
+        ("abs(a_dot-abs(x_dot))", "abs(a_dot - abs(x_dot))"),
+    ],
+)
+def test_smoothed_terms_are_shown_as_they_were_given(given, shown):
+    names, widths = ["x", "x_dot", "a", "a_dot"], {"x_dot": 0.03, "a_dot": 0.03}
+    smoothed = smooth_abs(make_term(given, names, kind="dissipation"), widths)
+    assert "9/10000" in smoothed.text
+    assert as_given(smoothed.text, [0.03]) == shown
+    assert as_given(f"the term {smoothed.text} is absent", [0.5, 0.03]) == f"the term {shown} is absent"
+    # what is shown means what was fitted, and other widths change nothing
+    assert smooth_abs(make_term(shown, names, kind="dissipation"), widths).expr == smoothed.expr
+    assert as_given(smoothed.text, [0.04]) == as_given(smoothed.text, []) == smoothed.text
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "sqrt(x**2 + 9/10000)",  # no velocity
+        "(x_dot**2 + 9/10000)*x",  # no root
+        "sqrt(x_dot**4 + 9/10000)",
+        "sqrt(x_dot**2 + 9/0)",
+        "sqrt(x_dot**2 + 9..1/10000)",
+        "sqrt(" * 5000 + "x_dot**2 + 9/10000",
+    ],
+)
+def test_other_roots_are_left_alone(text):
+    assert as_given(text, [0.03]) == text
+
+
+def test_sentences_of_a_fit_show_terms_as_they_were_given():
+    root = "sqrt(x_dot**2 + 1/2500)"
+    findings = [
+        Finding("other", "warning", (root,), {}, f"{root} is hardly determined", f"known={{'{root}': 1}}"),
+        Finding("other", "note", (root,), {}, f"{root} is small"),
+        find("friction-smoothed", ["x_dot"], widths=[0.02]),
+    ]
+    fit = FitSummary("doubtful", findings=findings)
+    assert fit.warnings == ("abs(x_dot) is hardly determined: known={'abs(x_dot)': 1}",)
+    assert fit.notes[0] == "abs(x_dot) is small"
+    assert root not in repr(fit._card())
+    assert fit.findings[0].message.startswith(root)  # the figures for programs stay
+    assert smoothing_widths(findings[:2]) == ()

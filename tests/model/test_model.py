@@ -1066,3 +1066,40 @@ def test_typeset_reads_as_text_and_as_html():
     card = Card("t", [Typeset("x^2", Notation(["x"]).term("x**2"))])
     assert card.text().splitlines()[1] == "x^2"
     assert "<msup>" in card.html()
+
+
+# ------------------------------------------------------------------------ dry friction, as it was given
+def test_dry_friction_is_shown_as_it_was_given():
+    """A person reads abs(x_dot); numbers, exports and the file have the root that was fitted."""
+    root = "sqrt(x_dot**2 + 1/2500)"
+    friction = [ModelTerm(root, 0.15, 0.01), ModelTerm("sqrt(x_dot**2 + 1)", 0.2, 0.01)]
+    findings = [
+        find("friction-smoothed", ["x_dot"], widths=[0.02]),
+        Finding("other", "warning", (root,), {}, f"{root} is hardly determined"),
+    ]
+    fit = FitSummary("doubtful", 1.0, [1.0], findings=findings)
+    points = [PathPoint((root, "x**2"), 0.0, 0.0, True)]
+    diagnostics = replace(spring_with_curve().diagnostics, path=tuple(points), findings=tuple(findings))
+    model = replace(spring(), dissipation=tuple(friction), fit=fit, diagnostics=diagnostics)
+    note = "abs() of velocities is smoothed near zero (x_dot below 0.02)"
+    assert model.formula().splitlines()[1] == "psi = 0.150*abs(x_dot) + 0.200*sqrt(x_dot**2 + 1)"
+    assert [row[0] for row in model.format_rows()[3:]] == ["abs(x_dot)", "sqrt(x_dot**2 + 1)"]
+    assert list(model.table().index[2:]) == ["abs(x_dot)", "sqrt(x_dot**2 + 1)"]
+    assert str(model).count("smoothed") == 1
+    assert str(model).splitlines()[-1] == f"note: {note}"
+    assert "psi = 0.150*abs(x_dot) + 0.200*sqrt" in repr(model)
+    assert r"\left|{\dot{x}}\right| + 0.200 \, \sqrt{\dot{x}^{2} + 1}" in model.latex()
+    page = model._repr_html_()
+    assert "2500" not in page
+    assert page.count(note) == 1
+    labels = [label.get_text() for label in model.plot().ax_.get_yticklabels()]
+    assert labels[2:] == ["0.150(10) · abs(x_dot)", "0.200(10) · sqrt(x_dot**2 + 1)"]
+    assert list(model.diagnostics.trade_off.to_frame()["terms"]) == ["abs(x_dot); x**2"]
+    assert "2500" not in model.diagnostics.trade_off._repr_html_()
+    # what computes
+    assert model.dissipation_function.has(sp.sqrt(sp.Symbol("x_dot", real=True) ** 2 + sp.Rational(1, 2500)))
+    saved = model.to_dict()
+    assert saved["dissipation"][0]["expression"] == root
+    assert saved["fit"]["warnings"] == [f"{root} is hardly determined"]
+    without = replace(model, dissipation=tuple(friction[1:]))
+    assert "smoothed" not in str(without)

@@ -21,7 +21,7 @@ from leastaction import (
     write_report,
 )
 from leastaction.curve.bspline import SplineGrid, uniform_space
-from leastaction.findings import find
+from leastaction.findings import as_given, find
 from leastaction.mechanics.equations import state_symbols
 from leastaction.model.diagnostics import PathPoint, pareto
 from leastaction.model.mathml import Notation, number_parts
@@ -40,7 +40,7 @@ from leastaction.report.captions import (
 )
 from leastaction.report.decades import Folded, folded
 from leastaction.report.figures_model import pareto_figure, whisker
-from leastaction.report.law import contributions, correlations, equations, unsmoothed
+from leastaction.report.law import contributions, correlations, equations
 from leastaction.report.series import Energy, Series
 from leastaction.report.svg import COLOURS, corners, dot_path, line_path, number
 from leastaction.report.tables import motion_rows, pareto_rows, path_rows, symmetry_rows
@@ -82,10 +82,10 @@ def test_smoothed_absolute_values_are_written_as_they_were_given():
     notation = Notation(["theta1", "x_cart"], [0.03, 0.5])
     for text in ("sqrt(theta1_dot**2 + 9/10000)", "sqrt((theta1_dot - x_cart_dot)**2 + 1/4)"):
         assert '<mo form="prefix">|</mo>' in notation.term(text)
-        assert "abs(" in unsmoothed(text, notation.widths)
+        assert "abs(" in as_given(text, notation.widths)
     for text in ("sqrt(theta1_dot**2 + 1/10)", "sqrt(x_cart**3 + 1/4)", "sqrt(9/10000 + theta1)"):
         assert "<msqrt>" in notation.term(text)
-        assert unsmoothed(text, notation.widths) == text
+        assert as_given(text, notation.widths) == text
 
 
 def test_equations_of_the_report_are_those_of_the_model(rng):

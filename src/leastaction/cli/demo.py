@@ -21,6 +21,7 @@ from leastaction.cli.discover import OUTPUTS, command_line, write_outputs
 from leastaction.cli.output import check_folder
 from leastaction.cli.show import live_progress, say, show_fit, show_table, with_error
 from leastaction.cli.text import complete_folder, shown
+from leastaction.findings import as_given, smoothing_widths
 from leastaction.identifiers import counted
 
 if TYPE_CHECKING:
@@ -233,7 +234,9 @@ def _show_coefficients(chosen: Demo, model: LagrangianModel) -> None:
     """
     rows = [("term", "found", "published", "difference", "z")]
     headings = {}
-    same_friction = {term.expression for term in model.dissipation} == {*chosen.published_dissipation}
+    widths = smoothing_widths(model.fit.findings)
+    texts = {term: as_given(term.expression, widths) for term in (*model.terms, *model.dissipation)}
+    same_friction = {texts[term] for term in model.dissipation} == {*chosen.published_dissipation}
     kinds = (
         ("", model.terms, chosen.published, True),
         ("friction, psi:", model.dissipation, chosen.published_dissipation, same_friction),
@@ -241,14 +244,14 @@ def _show_coefficients(chosen: Demo, model: LagrangianModel) -> None:
     for heading, terms, published, alike in kinds:
         headings |= {len(rows): heading} if heading else {}
         for term in terms:
-            there = published.get(term.expression)
+            there = published.get(texts[term])
             z = "" if term.known else f"{term.z:.0f}"
             if there is None or not there:
-                rows.append((term.expression, with_error(term), "-", "", z))
+                rows.append((texts[term], with_error(term), "-", "", z))
             else:
                 off = f"{100 * (term.coefficient / there - 1):+.2f} %" if alike and not term.known else ""
-                rows.append((term.expression, with_error(term), f"{there:.5g}", off, z))
-        found = {term.expression for term in terms}
+                rows.append((texts[term], with_error(term), f"{there:.5g}", off, z))
+        found = {texts[term] for term in terms}
         rows += [
             (text, "-", f"{value:.5g}", "", "") for text, value in published.items() if text not in found
         ]

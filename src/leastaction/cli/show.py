@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from leastaction.cli.text import in_options, one_line
-from leastaction.findings import STATED, alike, sentence, with_held_out
+from leastaction.findings import STATED, alike, as_given, sentence, smoothing_widths, with_held_out
 from leastaction.identifiers import counted
 
 if TYPE_CHECKING:
@@ -177,13 +177,14 @@ def show_model(
     from leastaction.model.notation import interval_text, plain_sum, z_text
     from leastaction.model.text import resting_lines, simple_lines, symmetry_lines
 
-    say(f"L = {plain_sum(model.terms, model.expressions)}")
+    widths = smoothing_widths(model.fit.findings)
+    say(f"L = {plain_sum(model.terms, model.expressions, widths=widths)}")
     if model.dissipation:
-        say(f"psi = {plain_sum(model.dissipation, model.dissipation_expressions)}")
+        say(f"psi = {plain_sum(model.dissipation, model.dissipation_expressions, widths=widths)}")
     say()
     rows = [("term", "coefficient", "95 % interval", "z")]
     rows += [
-        (term.written, with_error(term), interval_text(term), z_text(term.z))
+        (as_given(term.written, widths), with_error(term), interval_text(term), z_text(term.z))
         for term in (*model.terms, *model.dissipation)
     ]
     headings = {len(model.terms) + 1: "friction, psi:"} if model.dissipation else {}
@@ -194,7 +195,10 @@ def show_model(
         rows += [(number.written, with_error(number), interval_text(number), "") for number in numbers]
     for heading, differences in _differences(model):
         headings[len(rows)] = heading
-        rows += [(d.expression, with_error(d), interval_text(d), z_text(d.z)) for d in differences]
+        rows += [
+            (as_given(d.expression, widths), with_error(d), interval_text(d), z_text(d.z))
+            for d in differences
+        ]
     show_table(rows, headings)
     say()
     for line in simple_lines(model):
@@ -262,12 +266,14 @@ def show_fit(model: LagrangianModel, forecast: ForecastResult | None = None) -> 
 
 def _notes(model: LagrangianModel) -> Iterator[str]:
     """Notes that the statements and the law do not contain already; those of one kind in one sentence."""
+    from leastaction.model.text import smoothing_notes
+
     notes = [f for f in model.fit.findings if f.severity == "note" and f.code not in STATED]
-    smooth = any("sqrt(" in term.written for term in (*model.terms, *model.dissipation))
-    if not smooth:
+    widths = smoothing_widths(notes)
+    if not smoothing_notes(model):
         notes = [f for f in notes if f.code != "friction-smoothed"]
     for *others, last in alike(notes):
-        yield "; ".join([*(f.message for f in others), sentence(last, "command line")])
+        yield as_given("; ".join([*(f.message for f in others), sentence(last, "command line")]), widths)
 
 
 def show_forecast(forecast: ForecastResult) -> None:

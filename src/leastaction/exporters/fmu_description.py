@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from xml.etree import ElementTree as ET
 
 from leastaction.exporters.shared import unused
+from leastaction.findings import as_given, smoothing_widths
 from leastaction.library import format_expression
 from leastaction.model.model import LagrangianModel
 
@@ -66,9 +67,10 @@ def variables(model: LagrangianModel, max_step: float) -> list[Variable]:
         ("lagrangian", "L", model.terms, model.expressions),
         ("dissipation", "the dissipation function", model.dissipation, model.dissipation_expressions),
     )
+    widths = smoothing_widths(model.fit.findings)
     for name, whole, terms, expressions in groups:
         for k, (term, expr) in enumerate(zip(terms, expressions, strict=True), start=1):
-            text = f"coefficient of {format_expression(expr)} in {whole}"
+            text = f"coefficient of {as_given(format_expression(expr), widths)} in {whole}"
             add(f"{name}_{k}", text, "parameter", "tunable", initial="exact", start=term.coefficient)
     return out
 

@@ -7,9 +7,11 @@ from collections.abc import Callable, Sequence
 import sympy as sp
 from sympy.printing.c import C99CodePrinter
 
+from leastaction.findings import as_given, smoothing_widths
 from leastaction.library import format_expression
 from leastaction.mechanics.equations import Mechanics
 from leastaction.model.model import LagrangianModel
+from leastaction.model.text import smoothing_notes
 from leastaction.simulation.law import CodeMixin
 
 __all__ = ["CPrinter", "MathPrinter", "about", "assignments", "clock", "equations", "unused"]
@@ -36,10 +38,13 @@ def about(model: LagrangianModel, element: str = "q[{i}]", base: int = 0) -> lis
         ("L", model.terms, model.expressions),
         ("psi", model.dissipation, model.dissipation_expressions),
     )
+    widths = smoothing_widths(model.fit.findings)
     for name, terms, expressions in groups:
         for k, (term, expr) in enumerate(zip(terms, expressions, strict=True)):
             start = f"{name} = " if k == 0 else " " * len(name) + " + "
-            lines.append(f"{start}{term.coefficient!r} * ({format_expression(expr)})")
+            lines.append(f"{start}{term.coefficient!r} * ({as_given(format_expression(expr), widths)})")
+    # the code has the root that the note is about
+    lines += smoothing_notes(model)
     return [line.encode("ascii", "backslashreplace").decode().replace("*/", "* /") for line in lines]
 
 

@@ -10,14 +10,21 @@ from leastaction.errors import InputError
 from leastaction.exporters import c, casadi, chains, check_format, fmu, julia, matlab, python
 from leastaction.io import write_bytes
 from leastaction.model.model import LagrangianModel
+from leastaction.model.text import smoothing_notes
 
 __all__ = ["export"]
 
 _Path: TypeAlias = "str | os.PathLike[str] | None"
 
+
+def _latex(model: LagrangianModel) -> str:
+    head = ["Written by leastaction; needs amsmath.", *smoothing_notes(model)]
+    return "".join(f"% {line}\n" for line in head) + f"\\[\n{model.latex()}\n\\]\n"
+
+
 _PLAIN = {
     "sympy": python.write_sympy,
-    "latex": lambda model: f"% Written by leastaction; needs amsmath.\n\\[\n{model.latex()}\n\\]\n",
+    "latex": _latex,
     "python": python.write,
     "c": c.write,
     "casadi": casadi.write,

@@ -16,7 +16,7 @@ from leastaction.findings.finding import (
     status_of,
 )
 from leastaction.findings.messages import CODES
-from leastaction.findings.sentences import alike, find, sentence
+from leastaction.findings.sentences import alike, as_given, find, sentence, smoothing_widths
 from leastaction.findings.stated import stated_error, statements, usability, with_held_out, worst_share
 from leastaction.findings.templates import REASONS, because
 
@@ -34,11 +34,13 @@ __all__ = [
     "Severity",
     "Status",
     "alike",
+    "as_given",
     "because",
     "doubtful",
     "find",
     "inexact",
     "sentence",
+    "smoothing_widths",
     "stated_error",
     "statements",
     "status_of",

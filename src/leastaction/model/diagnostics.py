@@ -12,7 +12,7 @@ import numpy as np
 from leastaction.curve.bspline import SplineGrid
 from leastaction.data.shown import units_of, written_names
 from leastaction.data.trajectories import Trajectories
-from leastaction.findings import Finding
+from leastaction.findings import Finding, as_given, smoothing_widths
 from leastaction.identifiers import counted
 from leastaction.library import Dropped, Kind
 from leastaction.shown import Card, Display, Panel, Series, Shown, data_frame
@@ -110,6 +110,8 @@ class TradeOff(Shown, Sequence[PathPoint]):
     Parameters
     ----------
     points : iterable of PathPoint
+    widths : sequence of float
+        Widths in which absolute values of velocities were smoothed; these are shown as abs().
 
     Examples
     --------
@@ -118,8 +120,9 @@ class TradeOff(Shown, Sequence[PathPoint]):
     (2, True, 'terms')
     """
 
-    def __init__(self, points: Iterable[PathPoint]) -> None:
+    def __init__(self, points: Iterable[PathPoint], widths: Sequence[float] = ()) -> None:
         self._points = tuple(points)
+        self._widths = tuple(widths)
 
     def __len__(self) -> int:
         return len(self._points)
@@ -190,7 +193,8 @@ class TradeOff(Shown, Sequence[PathPoint]):
         InputError
             If pandas is not installed (extra ``pandas``); it is an ImportError, too.
         """
-        columns: dict[str, Any] = {"terms": ["; ".join(p.written) for p in self]}
+        texts = [as_given("; ".join(p.written), self._widths) for p in self]
+        columns: dict[str, Any] = {"terms": texts}
         names = ("n_terms", "cost", "bic", "length", "chosen", "reason")
         return data_frame(columns | {name: [getattr(p, name) for p in self] for name in names})
 
@@ -198,7 +202,8 @@ class TradeOff(Shown, Sequence[PathPoint]):
         rows = [(self.measure, "−2 Δ log likelihood", "structure")]
         for p in self:
             size = f"{p.length:.1f}" if self.measure == "bits" else str(p.n_terms)
-            rows.append((size, f"{p.cost:.4g}", f"{', '.join(p.written)}{' (chosen)' if p.chosen else ''}"))
+            terms = as_given(", ".join(p.written), self._widths)
+            rows.append((size, f"{p.cost:.4g}", f"{terms}{' (chosen)' if p.chosen else ''}"))
         return Card(f"Trade-off of {counted(len(self), 'structure')}", rows=rows)
 
 
@@ -288,7 +293,7 @@ class Diagnostics(Shown):
     @property
     def trade_off(self) -> TradeOff:
         """`pareto`, or `path` without description lengths, as an object with `plot`."""
-        return TradeOff(self.pareto or self.path)
+        return TradeOff(self.pareto or self.path, smoothing_widths((*self.findings, *self.prepared)))
 
     def plot(
         self, ax: Axes | Sequence[Axes] | None = None, *, trial: str | int = 0, **kwargs: Any
@@ -339,7 +344,10 @@ class Diagnostics(Shown):
     @property
     def notes(self) -> tuple[str, ...]:
         """Notes as sentences: changes made to data and library, and further information."""
-        return tuple(str(finding) for finding in self.findings if finding.severity == "note")
+        widths = smoothing_widths(self.findings)
+        return tuple(
+            as_given(str(finding), widths) for finding in self.findings if finding.severity == "note"
+        )
 
     def curve(self, times: Sequence[np.ndarray] | None = None, nu: int = 0) -> list[np.ndarray]:
         """Derivative ``nu`` of the fitted curve, one (n_times, n_dof) array per trajectory.

@@ -85,7 +85,7 @@ def encode(model: LagrangianModel) -> dict[str, Any]:
             "physics_weight": [_number_or_none(w) for w in model.fit.physics_weight],
             "findings": [finding.to_dict() for finding in model.fit.findings],
             **({"error_spectrum": [[*row] for row in spectrum]} if spectrum else {}),
-            "warnings": list(model.fit.warnings),
+            "warnings": [str(f) for f in model.fit.findings if f.severity == "warning"],
             "statements": model.fit.statements,
         },
         "provenance": plain_json(model.provenance, "provenance"),

@@ -6,7 +6,6 @@ Terms are written from their own text, so that factors stay in the sequence in w
 from __future__ import annotations
 
 import ast
-import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape
@@ -15,7 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from markupsafe import Markup
 
-from leastaction.findings import Finding
+from leastaction.findings import Finding, as_given, smoothing_widths
 from leastaction.identifiers import split_name, split_names, written_name
 from leastaction.model.notation import rounded
 
@@ -66,10 +65,7 @@ class Notation:
         written: Mapping[str, str] = MappingProxyType({}),
     ) -> Notation:
         """With the widths that a fit has smoothed its candidates by."""
-        found = [f.values.get("widths") for f in findings if f.code == "friction-smoothed"]
-        lists = [widths for widths in found if isinstance(widths, (list, tuple))]
-        all_widths = [float(w) for widths in lists for w in widths if isinstance(w, (int, float))]
-        return cls(coordinates, all_widths, written)
+        return cls(coordinates, smoothing_widths(findings), written)
 
     def text(self, coordinate: str, derivative: int = 0) -> str:
         """Name of a coordinate, or of its derivative, as plain text for figures.
@@ -145,6 +141,7 @@ class Notation:
         return f"<msup>{base}{power}</msup>" if power else base
 
     def _expression(self, text: str, level: int) -> str:
+        text = as_given(text, self.widths)
         try:
             return self._at(level, ast.parse(text, mode="eval").body)
         except (SyntaxError, ValueError, RecursionError, MemoryError):
@@ -182,9 +179,6 @@ class Notation:
         return f"<msup>{base}{power}</msup>" if power else base
 
     def _call(self, name: str, argument: ast.expr, power: str = "") -> str:
-        softened = self._softened(argument) if name == "sqrt" else None
-        if softened is not None:
-            name, argument = "abs", softened
         inner = self._at(0, argument)
         if name in ("sqrt", "abs"):
             body = f"<msqrt>{inner}</msqrt>" if name == "sqrt" else _fenced("|", inner, "|")
@@ -192,16 +186,6 @@ class Notation:
         function = f"<mi>{escape(name)}</mi>"
         function = f"<msup>{function}{power}</msup>" if power else function
         return f"<mrow>{function}{_APPLY}{_parentheses(inner)}</mrow>"
-
-    def _softened(self, node: ast.expr) -> ast.expr | None:
-        """The u of u² + ε² where ε is one of the widths, else None."""
-        if not (isinstance(node, ast.BinOp) and isinstance(node.op, ast.Add)):
-            return None
-        square, rest = node.left, _value(node.right)
-        if not (isinstance(square, ast.BinOp) and isinstance(square.op, ast.Pow)) or rest is None:
-            return None
-        known = any(math.isclose(rest, width**2, rel_tol=1e-9) for width in self.widths)
-        return square.left if known and _value(square.right) == 2 else None
 
     def _binary(self, node: ast.BinOp) -> tuple[str, int]:
         left, right = node.left, node.right
@@ -325,16 +309,6 @@ def _unsigned(node: ast.expr) -> ast.expr | None:
     if isinstance(node, ast.BinOp) and isinstance(node.op, (ast.Mult, ast.Div)):
         left = _unsigned(node.left)
         return None if left is None else ast.BinOp(left, node.op, node.right)
-    return None
-
-
-def _value(node: ast.expr) -> float | None:
-    """A number, or a quotient of two numbers; otherwise None."""
-    if isinstance(node, ast.Constant) and isinstance(node.value, (int, float)):
-        return float(node.value)
-    if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Div):
-        over, under = _value(node.left), _value(node.right)
-        return over / under if over is not None and under else None
     return None
 
 

@@ -10,6 +10,7 @@ from typing import Any
 
 import sympy as sp
 
+from leastaction.findings import as_given
 from leastaction.library import is_constant, shape_symbol, time_symbol
 from leastaction.mechanics.equations import state_symbols
 from leastaction.model.term import ModelTerm, ShapeParameter
@@ -100,11 +101,15 @@ def plain_sum(
     expressions: Sequence[sp.Expr],
     digits: int | None = None,
     uncertainty: bool = False,
+    widths: Sequence[float] = (),
 ) -> str:
-    """The sum of the terms with rounded coefficients, e.g. ``0.5*theta_dot**2 + 9.81*cos(theta)``."""
+    """The sum of the terms with rounded coefficients, e.g. ``0.5*theta_dot**2 + 9.81*cos(theta)``.
+
+    Absolute values that were smoothed in `widths` are written as abs().
+    """
     pieces: list[str] = []
     for term, expr in zip(terms, expressions, strict=True):
-        written = term.written
+        written = as_given(term.written, widths)
         text = f"({written})" if expr.is_Add or written.startswith("-") else written
         pieces.append(f"{coefficient_text(term, digits, uncertainty)}*{text}")
     return " + ".join(pieces).replace("+ -", "- ") or "0"

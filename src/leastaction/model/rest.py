@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from scipy.optimize import root
 
 from leastaction.errors import InputError
+from leastaction.findings import as_given, smoothing_widths
 from leastaction.identifiers import names_in_terms, quoted
 from leastaction.kinds import is_list
 from leastaction.library import make_term, shape_symbol
@@ -59,7 +60,7 @@ class RestLaw:
         )
         names, n_lagrangian = names_in_terms(self.names), len(model.terms)
         v = state_symbols(self.names)[1]
-        widths = [w for found in model.fit.findings for w in _widths(found.values)]
+        widths = smoothing_widths(model.fit.findings)
         swap = {shape_symbol(s.name): sp.Symbol(f"s_{k}", real=True) for k, s in enumerate(model.shapes)}
         self._kinks: list[tuple[str, sp.Expr]] = []
         self.left_out: tuple[str, ...] = ()
@@ -70,7 +71,7 @@ class RestLaw:
             if k >= n_lagrangian:
                 smooth = [part for part in sp.Add.make_args(sp.expand(expr)) if not _dry(part, v, widths)]
                 if len(smooth) < len(sp.Add.make_args(sp.expand(expr))):
-                    self.left_out += (term.written,)
+                    self.left_out += (as_given(term.written, widths),)
                 expr = sp.Add(*smooth)
             self._kinks += [(term.written, expr)] if k < n_lagrangian and expr.has(sp.Abs) else []
             parts[k >= n_lagrangian] += coefficient * expr
@@ -138,12 +139,6 @@ class RestLaw:
             moved[np.abs(moved) <= _LAST_STEP * (1.0 + np.abs(q))] = 0.0
             out.append([change / (2.0 * _STEP) for change in (*matrices, moved)])
         return out
-
-
-def _widths(values: Mapping[str, Any]) -> Sequence[float]:
-    """The rates below which |q̇| was smoothed, if these figures contain them."""
-    widths = values.get("widths")
-    return widths if is_list(widths) else ()
 
 
 def _smoothed(expr: sp.Expr, rates: Sequence[sp.Symbol], widths: Sequence[float]) -> dict[Any, sp.Expr]:

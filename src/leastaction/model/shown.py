@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 from markupsafe import Markup
 
+from leastaction.findings import as_given
 from leastaction.model.gravity import GravityRatio, gravity_ratios
 from leastaction.model.mathml import Notation
 from leastaction.model.notation import coefficient_text
@@ -105,7 +106,10 @@ class ShownModel(Shown):
             )
             if at.any()
         ]
-        labels = [f"{coefficient_text(term, uncertainty=True)} · {term.written}" for term in terms]
+        widths = Notation.of_fit(model.coordinates, model.fit.findings).widths
+        labels = [
+            f"{coefficient_text(term, uncertainty=True)} · {as_given(term.written, widths)}" for term in terms
+        ]
         x_label = "distance from the coefficient (% of it)"
         return Display([Panel("", "", series, x_label, rows=labels)]).plot(ax, **kwargs)
 
@@ -121,7 +125,7 @@ class ShownModel(Shown):
             f"LagrangianModel of {', '.join(model.coordinates)}",
             [status, Typeset(formula(model, None, False), _formulas(model))],
             table,
-            [f"{kinds[finding.severity]}{finding}" for finding in found],
+            [as_given(f"{kinds[finding.severity]}{finding}", notation.widths) for finding in found],
         )
 
 

@@ -11,7 +11,17 @@ from typing import TYPE_CHECKING, Any, cast, get_args
 import numpy as np
 
 from leastaction.errors import InputError
-from leastaction.findings import STATED, Audience, Finding, Severity, Status, sentence, statements
+from leastaction.findings import (
+    STATED,
+    Audience,
+    Finding,
+    Severity,
+    Status,
+    as_given,
+    sentence,
+    smoothing_widths,
+    statements,
+)
 from leastaction.identifiers import quoted
 from leastaction.kinds import is_number
 from leastaction.shown import Card, Shown, data_frame
@@ -333,16 +343,16 @@ class FitSummary(Shown):
     def sentences(self, severity: Severity, audience: Audience = "python") -> tuple[str, ...]:
         """Return the findings of a severity as text, with remedies for Python, command line or app.
 
-        Findings on forecasts that `statements` covers are not repeated.
+        Findings on forecasts that `statements` covers are not repeated. Terms are written as they were given.
 
         Examples
         --------
         >>> FitSummary("doubtful", warnings=["the shaft is bent"]).sentences("warning", "page")
         ('the shaft is bent',)
         """
-        said = STATED if self.statements else frozenset[str]()
-        findings = (found for found in self.findings if found.code not in said)
-        return tuple(sentence(found, audience) for found in findings if found.severity == severity)
+        widths, said = smoothing_widths(self.findings), STATED if self.statements else frozenset[str]()
+        found = (f for f in self.findings if f.code not in said and f.severity == severity)
+        return tuple(as_given(sentence(f, audience), widths) for f in found)
 
     @property
     def chi2_note(self) -> str:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, cast
 import sympy as sp
 
 from leastaction.errors import InputError, MissingPackageError
+from leastaction.findings import as_given, smoothing_widths
 from leastaction.identifiers import names_in_terms, quoted
 from leastaction.library import parse_expression, shape_symbol
 from leastaction.model.notation import (
@@ -44,6 +45,7 @@ __all__ = [
     "rows",
     "shown_quantity",
     "simple_lines",
+    "smoothing_notes",
     "summary",
     "symmetry_lines",
     "table",
@@ -68,9 +70,9 @@ class Written:
         Returns
         -------
         pandas.DataFrame
-            Index ``expression``; columns ``kind`` ("lagrangian", "dissipation", "shape" or "difference"),
-            ``coefficient``,
-            ``standard_error``, ``lower`` and ``upper`` (95 % interval), ``z`` (NaN if known), ``known``.
+            Index ``expression``, as it was given; columns ``kind`` ("lagrangian", "dissipation", "shape" or
+            "difference"), ``coefficient``, ``standard_error``, ``lower`` and ``upper`` (95 % interval), ``z``
+            (NaN if known), ``known``.
 
         Raises
         ------
@@ -86,7 +88,7 @@ class Written:
     def formula(self, digits: int | None = None, uncertainty: bool = False) -> str:
         """L, and psi if there is friction, as plain text with rounded numbers.
 
-        `lagrangian` has all digits, for computation.
+        For computation, `lagrangian` has all digits, and the root that smooths abs() of a velocity.
 
         Parameters
         ----------
@@ -154,10 +156,13 @@ class Written:
 def rows(model: LagrangianModel) -> list[tuple[str, ...]]:
     """Header and one row of text for each term."""
     out: list[tuple[str, ...]] = [_HEADER]
+    widths = smoothing_widths(model.fit.findings)
     for kind, term in _estimates(model):
         error = f"{term.standard_error:.2g}" if term.standard_error > 0 else "known" if term.known else ""
         z = "" if kind in ("shape", "calibration") else z_text(term.z)
-        out.append((term.written, kind, coefficient_text(term), error, interval_text(term), z))
+        out.append(
+            (as_given(term.written, widths), kind, coefficient_text(term), error, interval_text(term), z)
+        )
     return out
 
 
@@ -177,25 +182,30 @@ def table(model: LagrangianModel) -> str:
     cells = rows(model)
     width = [max(len(row[i]) for row in cells) for i in range(len(_HEADER))]
     lines = ["  ".join(cell.ljust(w) for cell, w in zip(row, width, strict=True)).rstrip() for row in cells]
-    return "\n".join([*lines, f"fit: {model.fit.status}", *(f"warning: {w}" for w in model.fit.warnings)])
+    lines += [f"fit: {model.fit.status}", *(f"warning: {w}" for w in model.fit.warnings)]
+    return "\n".join([*lines, *(f"note: {text}" for text in smoothing_notes(model))])
+
+
+def smoothing_notes(model: LagrangianModel) -> list[str]:
+    """The note on the width in which abs() of velocities is smoothed; empty if the law has no such term."""
+    widths = smoothing_widths(model.fit.findings)
+    smooth = any(as_given(t.written, widths) != t.written for t in (*model.terms, *model.dissipation))
+    return [str(f) for f in model.fit.findings if smooth and f.code == "friction-smoothed"]
 
 
 def summary(model: LagrangianModel) -> str:
     """The model on one line."""
-    total = plain_sum(model.terms, model.expressions)
-    if model.dissipation:
-        total += f", psi = {plain_sum(model.dissipation, model.dissipation_expressions)}"
-    for shape in model.shapes:
-        total += f", {{{shape.name}}} = {rounded(shape.value, shape.standard_error)}"
-    return f"<LagrangianModel of {', '.join(model.coordinates)}: L = {total}; fit {model.fit.status}>"
+    law = ", ".join(formula(model, None, False).splitlines())
+    return f"<LagrangianModel of {', '.join(model.coordinates)}: {law}; fit {model.fit.status}>"
 
 
 def formula(model: LagrangianModel, digits: int | None, uncertainty: bool) -> str:
     """L, and psi if there is one, as plain text."""
     _check_digits(digits)
-    lines = [f"L = {plain_sum(model.terms, model.expressions, digits, uncertainty)}"]
+    how = digits, uncertainty, smoothing_widths(model.fit.findings)
+    lines = [f"L = {plain_sum(model.terms, model.expressions, *how)}"]
     if model.dissipation:
-        friction = plain_sum(model.dissipation, model.dissipation_expressions, digits, uncertainty)
+        friction = plain_sum(model.dissipation, model.dissipation_expressions, *how)
         lines.append(f"psi = {friction}")
     for shape in model.shapes:
         lines.append(f"{{{shape.name}}} = {rounded(shape.value, shape.standard_error, digits, uncertainty)}")
@@ -231,9 +241,11 @@ def latex(model: LagrangianModel, digits: int | None, uncertainty: bool) -> str:
 
 
 def _written(model: LagrangianModel, term: ModelTerm, expr: sp.Expr) -> sp.Expr:
-    """The expression of a term with its shape parameters as symbols."""
-    names = names_in_terms(model.coordinates)
-    return parse_expression(term.template, names, shapes=True) if term.template else expr
+    """The expression of a term as it was given: shape parameters as symbols, absolute values not smoothed."""
+    text = as_given(term.written, smoothing_widths(model.fit.findings))
+    if text == term.expression:
+        return expr
+    return parse_expression(text, names_in_terms(model.coordinates), shapes=True)
 
 
 CONSERVED = {
@@ -303,10 +315,11 @@ def symmetry_lines(model: LagrangianModel) -> list[str]:
     'cyclic coordinate x, in form: momentum x_dot, conserved if no force acts along it'
     """
     lines: list[str] = []
+    widths = smoothing_widths(model.fit.findings)
     for symmetry in model.symmetries:
         name = " ".join(filter(None, (CONSERVED.get(symmetry.kind), shown_quantity(symmetry))))
         what = ", ".join(filter(None, (name, outcome(symmetry))))
-        lines.append(f"{symmetry.name}, {reach(symmetry)}{f': {what}' if what else ''}")
+        lines.append(as_given(f"{symmetry.name}, {reach(symmetry)}{f': {what}' if what else ''}", widths))
     return lines
 
 
@@ -343,7 +356,8 @@ def simple_lines(model: LagrangianModel) -> list[str]:
     ['simple number: x_dot**2 = 0.50030(40): 1/2']
     """
     found = model.simple_constants
-    lines = [f"simple number: {offer}" for offer in found.offers]
+    widths = smoothing_widths(model.fit.findings)
+    lines = [as_given(f"simple number: {offer}", widths) for offer in found.offers]
     return [*lines, f"simple numbers together: {agreement(found)}"] if len(lines) > 1 else lines
 
 
@@ -368,10 +382,10 @@ def frame(model: LagrangianModel, use: str = "table()") -> pd.DataFrame:
         instead = "use format_table(), or terms and dissipation"
         raise MissingPackageError(use, "pandas", "pandas", instead) from None
 
-    names = ("standard_error", "lower", "upper")
+    names, widths = ("standard_error", "lower", "upper"), smoothing_widths(model.fit.findings)
     found = [
         (
-            *(t.written, kind, t.coefficient),
+            *(as_given(t.written, widths), kind, t.coefficient),
             *(getattr(t, name) for name in names),
             *(math.nan if kind == "shape" else t.z, t.known),
         )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Sequence
 from typing import Any
 
@@ -20,9 +19,7 @@ from leastaction.model.model import LagrangianModel
 from leastaction.model.term import ModelTerm
 from leastaction.report.text import signed
 
-__all__ = ["contributions", "correlations", "equations", "unsmoothed"]
-
-_SMOOTHED = re.compile(r"sqrt\((\w+|\([^()]*\))\*\*2 \+ ([\d.]+(?:/\d+)?)\)")
+__all__ = ["contributions", "correlations", "equations"]
 
 _MOST_TERMS = 30  # of a law whose equations are shown
 _MOST_COLUMNS = 8  # of the table of correlations
@@ -70,26 +67,6 @@ def contributions(
             total += sp.diff(slope, q[k]) * qdot[k] + sp.diff(slope, qdot[k]) * qddot[k]
     parts = sp.Add.make_args(sp.expand(total))
     return [p for p in sorted(parts, key=lambda p: not p.has(*qddot)) if p != 0]
-
-
-def unsmoothed(text: str, widths: Sequence[float]) -> str:
-    """Candidates as the user wrote them, with absolute values.
-
-    Examples
-    --------
-    >>> unsmoothed("sqrt((x_dot - y_dot)**2 + 1/625), sqrt(x**2 + 1)", [0.04])
-    'abs(x_dot - y_dot), sqrt(x**2 + 1)'
-    """
-
-    def absolute(found: re.Match[str]) -> str:
-        over, _, under = found[2].partition("/")
-        size = float(over) / float(under or 1)
-        if not any(math.isclose(size, width**2, rel_tol=1e-9) for width in widths):
-            return found[0]
-        inner = found[1][1:-1] if found[1].startswith("(") else found[1]
-        return f"abs({inner})"
-
-    return _SMOOTHED.sub(absolute, text)
 
 
 def correlations(model: LagrangianModel, notation: Notation) -> dict[str, Any]:

@@ -15,7 +15,7 @@ import numpy as np
 from markupsafe import Markup
 
 from leastaction.errors import InputError
-from leastaction.findings import because, usability
+from leastaction.findings import as_given, because, usability
 from leastaction.identifiers import quoted
 from leastaction.model.mathml import Notation
 from leastaction.model.model import LagrangianModel
@@ -115,6 +115,8 @@ def _context(
         "driven": series.trajectories.driven,
         "verdict": verdict(model, validation, notation),
         "formulas": _formulas(model, notation),
+        "law_text": as_given(str(model.lagrangian), widths),
+        "friction_text": as_given(str(model.dissipation_function), widths),
         "groups": groups,
         **_constants(model, notation),
         **_motions(model, notation),
@@ -213,9 +215,9 @@ def _options(model: LagrangianModel) -> Mapping[str, Any]:
 def _as_given(value: Any, widths: tuple[float, ...]) -> Any:
     """An option with the candidates in the user's notation."""
     if isinstance(value, Mapping):
-        return {law.unsmoothed(str(key), widths): item for key, item in value.items()}
+        return {as_given(str(key), widths): item for key, item in value.items()}
     if isinstance(value, (list, tuple)):
-        return [law.unsmoothed(item, widths) if isinstance(item, str) else item for item in value]
+        return [as_given(item, widths) if isinstance(item, str) else item for item in value]
     return value
 
 

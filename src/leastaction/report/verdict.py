@@ -10,7 +10,16 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup, escape
 
-from leastaction.findings import STATED, Finding, alike, stated_error, with_held_out, worst_share
+from leastaction.findings import (
+    STATED,
+    Finding,
+    alike,
+    as_given,
+    smoothing_widths,
+    stated_error,
+    with_held_out,
+    worst_share,
+)
 from leastaction.model.mathml import Notation
 from leastaction.model.model import LagrangianModel
 from leastaction.model.term import as_float
@@ -122,7 +131,9 @@ def terms_in(model: LagrangianModel, findings: Iterable[Finding]) -> set[str]:
     path = () if model.diagnostics is None else model.diagnostics.path
     texts = {t.written for t in (*model.terms, *model.dissipation)}
     texts |= {text for point in path for text in point.written}
-    return texts | {text for finding in findings for text in finding.subject if re.search(r"[*(]", text)}
+    texts |= {text for finding in findings for text in finding.subject if re.search(r"[*(]", text)}
+    widths = smoothing_widths(model.fit.findings)
+    return texts | {as_given(text, widths) for text in texts}
 
 
 def _in_words(findings: list[Finding], notation: Notation, terms: Iterable[str]) -> Markup:
@@ -204,7 +215,7 @@ def _fit_facts(model: LagrangianModel, notation: Notation) -> list[dict[str, Any
         weakest = min(free, key=lambda t: abs(t.z))
         share = 1.0 / abs(weakest.z)
         value = f"± {percent(share)}" if share < 5 else "open"
-        text = weakest.written
+        text = as_given(weakest.written, notation.widths)
         note = text if notation.is_long(text) else notation.term(text)
         facts.append({"name": "Least precise coefficient", "value": value, "note": note})
     return facts
