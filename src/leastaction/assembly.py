@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from leastaction.data.trajectories import Trajectory
+from leastaction.data.trajectory import common_units
 from leastaction.diagnosis.verdict import Verdict
 from leastaction.errors import InputError
 from leastaction.estimation.build import Setup
@@ -73,7 +74,7 @@ def assemble_model(
         angles=tuple(options.get("angles", ())),
         hidden_motion=_hidden_motion(fit),
     )
-    terms = _terms(fit)
+    terms, units = _terms(fit), common_units(setup.problem.trajectories)
     unknown = bool(np.isnan(fit.covariance).any())
     model = LagrangianModel(
         setup.library.coordinates,
@@ -95,6 +96,7 @@ def assemble_model(
             "n_samples": int(grid.observations.counts.sum()),
             "n_candidates": len(setup.problem.terms),
             "knots_per_second": float(grid.knots_per_second),
+            **({"units": units} if units else {}),
         },
         diagnostics,
         _shapes(fit),

@@ -28,6 +28,7 @@ from leastaction.cli import program
 from leastaction.data.formats import text as text_module
 from leastaction.data.formats.units import normal, parted, parts_of_date, unit_of
 from leastaction.data.trajectories import Trajectories, Trajectory
+from leastaction.data.trajectory import common_units
 from leastaction.findings import find
 from leastaction.model.term import ModelTerm
 
@@ -1078,3 +1079,33 @@ def test_noise_is_no_wrap(noise):
         stored = (angle + np.pi) % (2 * np.pi) - np.pi if wrapped else angle
         found = Trajectories([Trajectory(t, stored, coordinates=["theta"])]).unwrap("theta")[0].q[:, 0]
         assert np.abs(found - angle).max() < 1e-9
+
+
+# ------------------------------------------------------------------------------- units that files state
+@pytest.mark.parametrize(
+    ("header", "units", "stated"),
+    [
+        (
+            "x [m],a [deg],f [N],tau [Nm]",
+            "SI",
+            {"position": {"x": "m", "a": "rad"}, "force": {"x": "N", "a": "N m"}},
+        ),
+        ("x [mm],a,f [kN],tau", "SI", {"position": {"x": "m"}, "force": {"x": "N"}}),
+        ("x,a,f,tau", "SI", {}),
+        ("x [mm],a [deg],f,tau", "as-written", {}),
+        ("x,a,f,tau", {"x": "m", "tau": "Ncm"}, {"position": {"x": "m"}, "force": {"a": "N m"}}),
+    ],
+)
+def test_units_that_a_file_states_stay_with_its_trajectories(tmp_path, header, units, stated):
+    path = tmp_path / "run.csv"
+    rows = "".join(f"{0.1 * k},{k},{0.1 * k},0,0\n" for k in range(20))
+    path.write_text(f"t,{header}\n{rows}", encoding="utf-8")
+    options = {"forces": {"x": "f", "a": "tau"}, "units": units}
+    runs = io.read_csv(path, ["x", "a"], **options)
+    assert common_units(runs) == stated
+    assert common_units(pickle.loads(pickle.dumps(runs))) == stated
+    assert common_units(runs.unwrap(["a"]).without_rates()[:1]) == stated
+    assert common_units([runs[0].rows(slice(5)), runs[0].changed(name="b")]) == stated
+    assert common_units(io.stream(path, ["x", "a"], **options)) == stated
+    # a file that states nothing leaves it open which unit its numbers have
+    assert common_units([*runs, Trajectory(runs[0].t, runs[0].q, coordinates=["x", "a"])]) == {}

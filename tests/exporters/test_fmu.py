@@ -354,6 +354,68 @@ def test_times_and_angles_have_units(version, tmp_path):
 
 
 @needs_compiler
+def test_units_that_the_data_state_are_those_of_the_fmu(version, tmp_path):
+    """Lengths, forces and torques of a cart; the input of a prescribed one is its acceleration."""
+    given = {"position": {"x": "m", "theta": "rad"}, "force": {"x": "N", "theta": "N m"}}
+    expected = {
+        **{"time": "s", "x": "m", "x_dot": "m/s", "x_dot_dot": "m/s2", "x_force": "N", "max_step": "s"},
+        **{"theta": "rad", "theta_dot": "rad/s", "theta_dot_dot": "rad/s2", "theta_force": "N.m"},
+    }
+    bases = {
+        "N": {"kg": 1, "m": 1, "s": -2},
+        "N.m": {"kg": 1, "m": 2, "s": -2},
+        "m/s2": {"m": 1, "s": -2},
+    }
+    parts = MODELS["passive"]()
+    for options, change in (({}, {}), ({"prescribed": ["x"]}, {"x_force": "m/s2"})):
+        provenance = {"units": given, "options": options}
+        made = LagrangianModel(parts.coordinates, parts.terms, provenance=provenance)
+        path = tmp_path / "cart.fmu"
+        la.export(LagrangianModel.from_dict(made.to_dict()), f"fmu{version}", path)
+        assert fmpy.validation.validate_fmu(str(path)) == []
+        found = fmpy.read_model_description(path, validate=True)
+        units = {v.name: v.unit for v in found.modelVariables if v.unit}
+        assert units == expected | change
+        assert {unit.name for unit in found.unitDefinitions} == set(units.values())
+        for unit in found.unitDefinitions:
+            base = {name: getattr(unit.baseUnit, name) for name in ("kg", "m", "s", "rad")}
+            assert unit.name not in bases or {k: n for k, n in base.items() if n} == bases[unit.name]
+
+
+@pytest.mark.parametrize(
+    "stated",
+    [None, "m", [], {"position": "m"}, {"position": {"x": ["m"], "theta": "mm"}}, {"position": {"y": "m"}}],
+)
+def test_units_that_are_not_known_are_not_guessed(stated):
+    """Without units, or with what somebody wrote into a model file, nothing but times has a unit."""
+    from leastaction.exporters.fmu_description import variables
+
+    parts = MODELS["passive"]()
+    model = LagrangianModel(parts.coordinates, parts.terms, provenance={"units": stated})
+    assert {v.name: v.unit for v in variables(model, 1e-3) if v.unit} == {"time": "s", "max_step": "s"}
+
+
+def test_units_come_from_the_file_that_was_read(tmp_path):
+    from leastaction.exporters.fmu_description import variables
+
+    t, rng = np.arange(400) * 0.02, np.random.default_rng(0)
+    x, f = 0.3 * np.cos(2.0 * t) + 0.1 * np.sin(3.0 * t), -0.5 * np.sin(3.0 * t)  # of 1 kg and 4 N/m
+    x += 1e-4 * rng.standard_normal(t.size)
+    path = tmp_path / "run.csv"
+    for header, size, units in (
+        ("x [m],f [N]", 1.0, {"x": "m", "x_dot": "m/s", "x_force": "N"}),
+        ("x [mm],f", 1e3, {"x": "m", "x_dot": "m/s", "x_force": ""}),
+        ("x,f", 1.0, {"x": "", "x_dot": "", "x_force": ""}),
+    ):
+        table = np.column_stack([t, size * x, f])
+        np.savetxt(path, table, delimiter=",", header=f"t,{header}", comments="")
+        model = la.discover(la.read_csv(path, ["x"], forces={"x": "f"}), ["x_dot**2", "x**2"])
+        model = LagrangianModel.from_dict(model.to_dict())
+        found = {v.name: v.unit for v in variables(model, 1e-3)}
+        assert {name: found[name] for name in units} == units
+
+
+@needs_compiler
 @pytest.mark.parametrize("name", ["odd", "driven", "free"])
 def test_sources_compile_without_a_warning(name, version, tmp_path):
     for path, text in source_files(MODELS[name](), version, "model", "{token}").items():

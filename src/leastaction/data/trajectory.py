@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -24,13 +25,16 @@ from leastaction.errors import InputError
 from leastaction.findings import Finding
 from leastaction.identifiers import check_coordinate_names, quoted
 
-__all__ = ["FIELDS", "RATES", "Rate", "Trajectory"]
+__all__ = ["FIELDS", "RATES", "Rate", "Stated", "Trajectory", "common_units"]
 
 RATES = ("velocities", "accelerations")
 """Fields of a trajectory that hold derivatives 1, 2, ... of the coordinates."""
 
 FIELDS = ("t", "q", "forces", *RATES)
 """Fields of a trajectory that hold arrays."""
+
+Stated = tuple[tuple[str, str, str], ...]
+"""Units that a file states: quantity (position or force), coordinate, unit of SI."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,6 +122,7 @@ class Trajectory(ShownRuns):
     velocities: FloatArray | None
     accelerations: FloatArray | None
     findings: tuple[Finding, ...]
+    stated_units: Stated = dataclasses.field(default=(), init=False)
 
     def __init__(
         self,
@@ -229,6 +234,23 @@ class Trajectory(ShownRuns):
         new = Trajectory(**{name: getattr(self, name) for name in names} | fields)
         for name in set(FIELDS) - set(fields):  # read-only: shared, not copied
             object.__setattr__(new, name, getattr(self, name))
+        return new.stating(self.stated_units)
+
+    def stating(self, units: Stated) -> Trajectory:
+        """Return this trajectory with the units that its file states, which a model keeps for exports.
+
+        Parameters
+        ----------
+        units : tuple of (str, str, str)
+            Quantity, ``"position"`` or ``"force"``, coordinate, and the unit of SI that the numbers have.
+
+        Examples
+        --------
+        >>> Trajectory([0.0, 1.0], [0.1, 0.2]).stating((("position", "q1", "m"),)).stated_units
+        (('position', 'q1', 'm'),)
+        """
+        new = object.__new__(Trajectory)
+        new.__dict__.update(self.__dict__, stated_units=units)
         return new
 
     def rows(self, chosen: Any) -> Trajectory:
@@ -254,7 +276,7 @@ class Trajectory(ShownRuns):
             self.accelerations,
             self.findings,
         )
-        return (_restored, given)
+        return (_restored, given, {"stated_units": self.stated_units})
 
     def __repr__(self) -> str:
         extras = "".join(
@@ -278,6 +300,24 @@ def _checked(findings: Iterable[object], where: str) -> tuple[Finding, ...]:
             raise InputError(f"{where}findings hold {quoted(item)}; expected objects of the class Finding")
         checked.append(item)
     return tuple(checked)
+
+
+def common_units(trajectories: Iterable[Trajectory]) -> dict[str, dict[str, str]]:
+    """Units that every file states, by quantity and coordinate.
+
+    Examples
+    --------
+    >>> silent = Trajectory([0.0, 1.0], [0.1, 0.2])
+    >>> measured = silent.stating((("position", "q1", "m"),))
+    >>> common_units([measured]), common_units([measured, silent])
+    ({'position': {'q1': 'm'}}, {})
+    """
+    stated = [dict.fromkeys(item.stated_units) for item in trajectories]
+    units: dict[str, dict[str, str]] = {}
+    for quantity, coordinate, unit in stated[0] if stated else ():
+        if all((quantity, coordinate, unit) in others for others in stated):
+            units.setdefault(quantity, {})[coordinate] = unit
+    return units
 
 
 def _restored(

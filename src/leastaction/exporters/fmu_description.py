@@ -7,6 +7,7 @@ from xml.etree import ElementTree as ET
 
 from leastaction.exporters.shared import unused
 from leastaction.findings import as_given, smoothing_widths
+from leastaction.kinds import is_mapping
 from leastaction.library import format_expression
 from leastaction.model.model import LagrangianModel
 
@@ -31,8 +32,15 @@ _UNITS = {
     "rad": {"rad": "1"},
     "rad/s": {"rad": "1", "s": "-1"},
     "rad/s2": {"rad": "1", "s": "-2"},
+    "m": {"m": "1"},
+    "m/s": {"m": "1", "s": "-1"},
+    "m/s2": {"m": "1", "s": "-2"},
+    "N": {"kg": "1", "m": "1", "s": "-2"},
+    "N.m": {"kg": "1", "m": "2", "s": "-2"},
 }
-"""Units that do not depend on the data: name -> exponents of its base units."""
+"""Name of a unit -> exponents of its base units."""
+_NAMES = {"position": {"m": "m", "rad": "rad"}, "force": {"N": "N", "N m": "N.m"}}
+"""Quantity -> units that files state -> their names in an FMU."""
 _SOURCES = ("model.c", "motion.c")  # in addition to the file of the version
 
 
@@ -47,20 +55,20 @@ def variables(model: LagrangianModel, max_step: float) -> list[Variable]:
         taken.add(free)
         out.append(Variable(free, *rest, **more))
 
-    angle = {c: "rad" if c in model.angles else "" for c in model.coordinates}
+    unit_of, force_unit = _known_units(model)
     exact = {"initial": "exact", "start": 0.0, "keep": True}
     add("time", "time in seconds", "independent", "continuous", unit="s")
-    for c, unit in angle.items():
+    for c, unit in unit_of.items():
         add(c, f"coordinate {c}", "output", "continuous", unit=unit, **exact)
-    for c, unit in angle.items():
+    for c, unit in unit_of.items():
         add(f"{c}_dot", f"velocity of {c}", "output", "continuous", unit=unit and f"{unit}/s", **exact)
-    for c, unit in angle.items():
+    for c, unit in unit_of.items():
         text = f"acceleration of {c}"
         add(f"{c}_dot_dot", text, "output", "continuous", initial="calculated", unit=unit and f"{unit}/s2")
     add("energy", "sum of qdot * dL/dqdot, minus L", "output", "continuous", initial="calculated")
     for c in model.coordinates:
         what = f"acceleration of {c}" if c in model.prescribed else f"generalised force on {c}"
-        add(f"{c}_force", what, "input", "continuous", start=0.0)
+        add(f"{c}_force", what, "input", "continuous", start=0.0, unit=force_unit[c])
     text = "longest internal step of the integration, in seconds"
     add("max_step", text, "parameter", "tunable", initial="exact", start=max_step, unit="s")
     groups = (
@@ -73,6 +81,23 @@ def variables(model: LagrangianModel, max_step: float) -> list[Variable]:
             text = f"coefficient of {as_given(format_expression(expr), widths)} in {whole}"
             add(f"{name}_{k}", text, "parameter", "tunable", initial="exact", start=term.coefficient)
     return out
+
+
+def _known_units(model: LagrangianModel) -> tuple[dict[str, str], dict[str, str]]:
+    """Units of each coordinate and of its input, empty where the data stated none; an angle is in radians.
+
+    The input is a force, or the acceleration of a prescribed coordinate.
+    """
+    stated = model.provenance.get("units")
+    found: dict[str, dict[str, str]] = {}
+    for quantity, names in _NAMES.items():
+        own = stated.get(quantity) if is_mapping(stated) else None
+        known = own if is_mapping(own) else {}
+        # str: a model file may hold anything here, also what cannot be a key
+        found[quantity] = {c: names.get(str(known.get(c)), "") for c in model.coordinates}
+    position = {c: "rad" if c in model.angles else unit for c, unit in found["position"].items()}
+    prescribed = {c: position[c] and f"{position[c]}/s2" for c in model.prescribed}
+    return position, found["force"] | prescribed
 
 
 def model_description(name: str, version: int, table: list[Variable], token: str) -> str:

@@ -232,9 +232,8 @@ def to_trajectories(layout: Layout, table: Table, name: str = "") -> Trajectorie
         beside = {kind: _matrix(layout, numbers, kind, rows, q.shape) for kind in BESIDE}
         t = numbers[layout.time][rows]
         said = layout.findings + _perhaps_not_seconds(layout, t)
-        trajectories.append(
-            Trajectory(t, q, coordinates=tuple(layout.coordinates), name=label, findings=said, **beside)
-        )
+        run = Trajectory(t, q, coordinates=tuple(layout.coordinates), name=label, findings=said, **beside)
+        trajectories.append(run.stating(layout.stated_units))
     result = Trajectories(trajectories)
     return result.unwrap(layout.angles) if layout.angles else result
 

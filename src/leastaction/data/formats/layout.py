@@ -8,6 +8,7 @@ from typing import Any, TypedDict
 
 from leastaction.data.formats.columns import Names
 from leastaction.data.formats.units import Clock, Unit, known_unit, normal, parted, time_unit_of, unit_in_file
+from leastaction.data.trajectory import Stated
 from leastaction.data.validation import FloatArray, close_match, listed
 from leastaction.errors import InputError
 from leastaction.findings import Finding, find
@@ -70,6 +71,8 @@ class Layout:
         Conversion of dates to seconds, if the times of the file are dates.
     findings : tuple of Finding
         Changes to the data of the file.
+    stated_units : tuple of (str, str, str)
+        Quantity, coordinate and unit of SI of the columns whose unit is known; see `Trajectory`.
     """
 
     time: str
@@ -84,6 +87,7 @@ class Layout:
     conversions: dict[str, Unit] = field(default_factory=dict[str, Unit])
     clock: Clock | None = None
     findings: tuple[Finding, ...] = ()
+    stated_units: Stated = ()
 
     @classmethod
     def of(
@@ -200,6 +204,7 @@ class Layout:
     ) -> Layout:
         """The layout of a file with conversions for its units, and a finding for each."""
         conversions: dict[str, Unit] = {}
+        stated: list[tuple[str, str, str]] = []
         findings = [find("units-row", units=tuple(filter(None, row.values())))] if row else []
         for column, (coordinate, quantity) in self._roles().items():
             time, own = quantity == "time", asked.get(column)
@@ -210,6 +215,8 @@ class Layout:
                 what = "not a time" if time else "a time"
                 raise InputError(f"the unit of {quoted(column)} is {own.text}, which is {what}; correct it")
             unit = own or there
+            if unit is not None and quantity in ("position", "force"):
+                stated.append((quantity, coordinate, unit.si))
             if unit is None or (unit.plain and unit == (there or unit)):
                 continue
             instead = there.text if there is not None and there != unit else None
@@ -231,7 +238,7 @@ class Layout:
         called = (normal(self.time), normal(parted(self.time, time=True)[0]))
         if self.time not in conversions and normal(asked_time) not in called:
             findings.append(find("time-column", column=self.time))
-        return replace(self, conversions=conversions, findings=tuple(findings))
+        return replace(self, conversions=conversions, findings=tuple(findings), stated_units=tuple(stated))
 
     def dated(self, clock: Clock, source: str) -> Layout:
         """Return the layout of a file whose times are dates.

@@ -23,7 +23,7 @@ from leastaction.data.formats.dispatch import listed_paths, stem, to_trajectorie
 from leastaction.data.formats.frames import parquet_tables
 from leastaction.data.formats.layout import Coordinates, Forces, Layout, Table, UnitOptions
 from leastaction.data.trajectories import Trajectories
-from leastaction.data.trajectory import FIELDS, Trajectory
+from leastaction.data.trajectory import FIELDS, Stated, Trajectory
 from leastaction.data.validation import FloatArray
 from leastaction.errors import InputError
 from leastaction.findings import Finding
@@ -201,7 +201,8 @@ class _Store:
                 places[field] = (self._end, array.shape)
                 self._end += array.size
         wraps = tuple(part.wraps_removed.values())
-        self._kept.append(_Kept(name, part.coordinates, wraps, places, part.findings))
+        units = part[0].stated_units
+        self._kept.append(_Kept(name, part.coordinates, wraps, places, part.findings, units))
 
     def trajectories(self) -> Trajectories:
         """All trajectories, with memory-mapped arrays."""
@@ -214,7 +215,8 @@ class _Store:
                 field: numbers[start : start + int(np.prod(shape))].reshape(shape)
                 for field, (start, shape) in kept.places.items()
             }
-            items.append(Trajectory.of(arrays, kept.coordinates, kept.name, kept.findings))
+            item = Trajectory.of(arrays, kept.coordinates, kept.name, kept.findings)
+            items.append(item.stating(kept.stated_units))
         return Trajectories.with_wraps(items, [kept.wraps for kept in self._kept])
 
 
@@ -226,3 +228,4 @@ class _Kept(NamedTuple):
     wraps: tuple[int, ...]
     places: dict[str, tuple[int, tuple[int, ...]]]
     findings: tuple[Finding, ...]
+    stated_units: Stated
