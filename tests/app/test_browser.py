@@ -487,6 +487,14 @@ def states_of_an_arm(tab: Tab, look, folder: Path) -> None:
     tab.click("Identify the arm")
     tab.see("inverse_dynamics.py")
     assert tab.overflow() == 0
+    limbs = tab.page.get_by_role("img", name="Robot arm as measured, x to the right").locator(".limbs")
+    limbs.wait_for()
+    slider = tab.page.get_by_role("slider", name="Time")
+    slider.fill("0")
+    before = limbs.get_attribute("d")
+    slider.fill("100")
+    tab.see("Play")  # who moves the slider stops the animation
+    assert limbs.get_attribute("d") != before
     tab.page.frame_locator("iframe").get_by_text("Robot arm two").first.wait_for()
     look("the report on an arm")
 

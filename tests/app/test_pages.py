@@ -30,6 +30,7 @@ from leastaction.app import server as _server
 from leastaction.app.columns import ANGLE, MILLISECONDS
 from leastaction.app.data_view import labels
 from leastaction.app.jobs import Found
+from leastaction.app.parts import Stick
 from leastaction.app.remedies import proposed, take
 from leastaction.app.result_view import compared
 from leastaction.app.worker import Job
@@ -394,6 +395,17 @@ def test_an_arm_is_identified_from_currents(tmp_path):
         assert "gain" in session.arm_job.result.report
         assert "L[shoulder_dot*elbow_dot]" in session.arm_job.result.report
         assert "psi[(shoulder_dot+elbow_dot)**2]" in session.arm_job.result.report
+        await user.should_see("The arm moves as recorded in the log: 6 s.")
+        (drawing,) = user.find(kind=Stick).elements
+        assert drawing.props["frames"] == session.arm_job.result.motion.frames
+        long = replace(session.arm_job.result.motion, trial="b", duration=20.0)
+        session.arm_job.result = replace(session.arm_job.result, motion=long)
+        user.find(marker="step-arm").click()
+        await user.should_see("as recorded in trial b, the longest: the first 5.99 of 20 s.")
+        session.arm_job.result = replace(session.arm_job.result, motion=None)
+        user.find(marker="step-arm").click()
+        await user.should_not_see("The arm moves as")
+        await user.should_see(marker="arm.urdf")
         user.find(marker="change").click()
         await user.should_see(marker="identify")
         user.find(marker="identify").click()

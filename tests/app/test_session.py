@@ -26,6 +26,7 @@ from leastaction.app import jobs as _jobs
 from leastaction.app import motion as _motion
 from leastaction.app import remedies as _remedies
 from leastaction.app import session as _session
+from leastaction.app.arm import motion_of
 from leastaction.app.candidates import Choice, friction_choices, split_trials
 from leastaction.app.columns import (
     ANGLE,
@@ -834,9 +835,116 @@ def test_a_log_with_a_robot_is_identified(session, tmp_path):
     found = session.arm_job.result
     assert {*found.files} == {"arm.json", "inverse_dynamics.py", "arm.urdf"}
     assert "held out" in found.report
+    assert found.motion.duration == pytest.approx(5.995)  # the whole log, not the fitted part of it
+    assert (found.motion.trial, found.motion.frames["kind"]) == ("", "arm")
     (tmp_path / "arm.json").write_bytes(found.files["arm.json"])
     rod = arms.load(tmp_path / "arm.json").tree.inertias[1]
     assert rod[3] == pytest.approx(0.15 / 1.2, rel=5e-3)  # m z of the last link; the URDF says 0.15
+
+
+def two_links(horizontal: bool = False) -> arms.KinematicTree:
+    """Two links of 0.4 m and 0.3 m on a column of 0.2 m, with uniform mass; they fold about y, or about z."""
+    axis, along = ([0, 0, 1], [1, 0, 0]) if horizontal else ([0, 1, 0], [0, 0, 1])
+    origins = [[0, 0, 0.2], [0.4 * x for x in along]]
+    rows = [{"axis": axis, "origin": origin} for origin in origins]
+    middles = np.outer([0.2, 0.15], along)
+    links = [[2.0, *(2.0 * middle), 0.2, 0, 0, 0.2, 0, 0.2] for middle in middles]
+    return arms.KinematicTree.from_joints(rows).with_inertias(links)
+
+
+def folding(t: np.ndarray, name: str = "") -> la.Trajectory:
+    q = np.column_stack([0.9 * np.sin(1.3 * t), 1.1 * np.cos(2.1 * t)])
+    return la.Trajectory(t, q, coordinates=["q1", "q2"], name=name)
+
+
+def drawn_at(motion, view: int = 0) -> np.ndarray:
+    """(n_frames, n_points, 2) of an arm, in pixels."""
+    rows = np.array([row[view] for row in motion.frames["measured"]])
+    return rows.reshape(len(rows), -1, 2)
+
+
+@pytest.mark.parametrize("horizontal", [False, True])
+def test_a_planar_arm_moves_as_its_angles_say(horizontal):
+    t = np.linspace(0.0, 6.0, 301)
+    motion = motion_of(la.Trajectories([folding(t)]), two_links(horizontal))
+    one, both = np.cumsum(folding(t).q, axis=1).T
+    if horizontal:
+        turned, foot = [np.column_stack([np.cos(a), np.sin(a)]) for a in (one, both)], np.zeros((301, 2))
+        height = 0.2
+    else:
+        turned = [np.column_stack([np.sin(a), np.cos(a)]) for a in (one, both)]
+        foot, height = np.tile([0.0, 0.2], (301, 1)), 0.0
+    elbow = foot + 0.4 * turned[0]
+    places = np.stack([np.zeros((301, 2)), foot, elbow, elbow + 0.15 * turned[1]], axis=1)
+    farthest = np.sqrt((places[:, 1:] ** 2).sum(axis=2) + height**2).max()
+    np.testing.assert_allclose(drawn_at(motion), 98.0 / farthest * places, atol=0.051)
+    side = "x to the right, from above" if horizontal else "x to the right, height upwards"
+    assert motion.frames["views"] == [side]  # it shows all of the motion
+    assert motion.frames["limbs"] == [[0, 1], [1, 2], [2, 3]]
+    assert motion.frames["t"] == pytest.approx(t, abs=1e-5)
+
+
+def test_an_arm_that_moves_in_space_is_drawn_from_two_sides():
+    t = np.linspace(0.0, 6.0, 301)
+    rows = [{"axis": [0, 0, 1]}, {"axis": [0, 1, 0], "origin": [0, 0, 0.3]}]
+    tree = arms.KinematicTree.from_joints(rows).with_inertias([[1, 0, 0, 0.2, 0.1, 0, 0, 0.1, 0, 0.1]] * 2)
+    motion = motion_of(la.Trajectories([folding(t)]), tree)
+    assert motion.frames["views"] == [f"{name} to the right, height upwards" for name in "xy"]
+    across, deep = drawn_at(motion, 0), drawn_at(motion, 1)
+    np.testing.assert_array_equal(across[..., 1], deep[..., 1])  # one scale, one height
+    tip = np.stack([across[:, -1, 0], deep[:, -1, 0], across[:, -1, 1] - across[:, -2, 1]], axis=1)
+    np.testing.assert_allclose(np.linalg.norm(tip, axis=1), np.linalg.norm(tip[0]), atol=0.2)
+    assert (
+        np.abs(tip[:, 0] * np.sin(0.9 * np.sin(1.3 * t)) - tip[:, 1] * np.cos(0.9 * np.sin(1.3 * t))).max()
+        < 0.2
+    )
+
+
+def test_a_branched_arm_is_drawn_to_the_end_of_each_branch():
+    rows = [{"axis": [0, 1, 0], "origin": [0, 0, 0.3], "name": "trunk"}]
+    rows += [{"axis": [0, 1, 0], "origin": [x, 0, 0.3], "parent": "trunk"} for x in (-0.1, 0.1)]
+    tree = arms.KinematicTree.from_joints(rows).with_inertias([[1, 0, 0, 0.1, 0.1, 0, 0, 0.1, 0, 0.1]] * 3)
+    t = np.linspace(0.0, 6.0, 301)
+    q = np.sin(np.outer(t, [1.0, 2.0, 3.0]))
+    motion = motion_of(la.Trajectories([la.Trajectory(t, q, coordinates=tree.coordinates)]), tree)
+    assert motion.frames["limbs"] == [[0, 1], [1, 2], [1, 3], [2, 4], [3, 5]]
+    assert drawn_at(motion).shape == (301, 6, 2)
+
+
+def test_a_long_log_of_an_arm_is_thinned():
+    t = np.arange(0.0, 100.0, 0.001)
+    one, long, same = folding(t[:5000], "one"), folding(t, "long"), folding(t, "same")
+    motion = motion_of(la.Trajectories([one, long, same]), two_links())
+    assert (motion.trial, motion.duration) == ("long", pytest.approx(99.999))
+    shown = np.array(motion.frames["t"])
+    assert 600 < len(shown) <= 900
+    assert len(motion.frames["measured"]) == len(shown)
+    assert 29.0 < shown[-1] <= 30.0
+    elbow = drawn_at(motion)[:, 2] - drawn_at(motion)[:, 1]
+    np.testing.assert_allclose(np.arctan2(elbow[:, 0], elbow[:, 1]), 0.9 * np.sin(1.3 * shown), atol=2e-3)
+
+
+def test_an_arm_stays_where_a_sample_is_missing():
+    run = folding(np.linspace(0.0, 6.0, 301))
+    q = run.q.copy()
+    q[100:110, 1] = np.nan
+    gaps = la.Trajectory(run.t, q, coordinates=["q1", "q2"])
+    seen, full = (drawn_at(motion_of(la.Trajectories([r]), two_links())) for r in (gaps, run))
+    np.testing.assert_array_equal(seen[:100], full[:100])
+    np.testing.assert_array_equal(seen[100:, :3], full[100:, :3])
+    assert np.abs(seen[109] - full[109]).max() > 1.0
+    np.testing.assert_array_equal(seen[110:], full[110:])
+
+
+def test_a_drawing_in_which_nothing_would_move_is_left_out():
+    t = np.linspace(0.0, 6.0, 301)
+    still = la.Trajectory(t, np.full((301, 2), 0.3), coordinates=["q1", "q2"])
+    assert motion_of(la.Trajectories([still]), two_links()) is None
+    # The order of the columns is that of the log.
+    run = folding(t)
+    other = la.Trajectory(t, run.q[:, ::-1], coordinates=["q2", "q1"])
+    first, second = (motion_of(la.Trajectories([r]), two_links()).frames for r in (run, other))
+    assert first == second
 
 
 def test_log_and_robot_may_come_one_after_the_other(session, tmp_path):

@@ -7,8 +7,8 @@ NiceGUI, on which it is built, is an extra and is imported only when the app sta
 * ``page.py``: header with steps and the button to save; one session per browser tab, which outlives a reload.
 * ``data_view.py``, ``candidates_view.py``, ``running_view.py``, ``result_view.py``, ``verdict_view.py``,
   ``walk_view.py``, ``parts.py``: the three steps, the trade-off curve, small pieces.
-* ``arm_view.py``: robot arms, from a log and a URDF to the report.
-* ``stick.js``, ``style.css``: moving links; colours and type, the same as in the report.
+* ``arm_view.py``: robot arms, from a log and a URDF to animation and report.
+* ``stick.js``, ``style.css``: moving links and arms; colours and type, the same as in the report.
 * ``session.py``: data, choices and results of a tab.
 * ``columns.py``: roles of the columns, and the call of the reader.
 * ``candidates.py``: candidates, friction, known coefficients, assumptions on forces: checked as they are

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 from nicegui import events, html, ui
 
-from leastaction.app.arm import ArmFound, ArmLog
+from leastaction.app.arm import ArmFound, ArmLog, ArmMotion
 from leastaction.app.files import archive
-from leastaction.app.parts import action, aside, choice, fault, panel, say, table, title
+from leastaction.app.parts import Stick, action, aside, choice, fault, panel, say, table, title
 from leastaction.app.running_view import stage_bar
 from leastaction.app.worker import Job, in_words
 
@@ -135,6 +135,8 @@ class ArmView:
                     self._download(name, partial(bytes, content))
                 self._download("all.zip", partial(archive, files))
                 action("Change", self.page.guarded(self._change), "plain", "change").props("icon=replay")
+        if found.motion is not None:
+            _motion(found.motion)
         # A frame, because the report has a style of its own; it has no scripts, and may run none.
         frame = f'<iframe class="report" title="Report" sandbox srcdoc="{escape(found.report)}"></iframe>'
         ui.html(frame, sanitize=False)
@@ -148,3 +150,15 @@ class ArmView:
     def _change(self) -> None:
         self.session.arm_job = None
         self.page.show("arm")
+
+
+def _motion(motion: ArmMotion) -> None:
+    shown, whole = motion.frames["t"][-1], motion.duration
+    length = f"the first {shown:.3g} of {whole:.3g} s" if shown < 0.99 * whole else f"{whole:.3g} s"
+    where = f"trial {motion.trial}, the longest" if motion.trial else "the log"
+    with panel():
+        title("The recorded motion")
+        say(f"The arm moves as recorded in {where}: {length}.")
+        Stick(motion.frames)
+        ends = "at the origin of the base and ends at the centre of mass of the last link"
+        say(f"The drawing begins {ends}.", "help")

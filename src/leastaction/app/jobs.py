@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from leastaction.model.diagnostics import PathPoint
     from leastaction.simulation.forecast import ForecastResult
 
-__all__ = ["Found", "Motion", "Walk", "derive", "forecast", "refine", "search"]
+__all__ = ["Found", "Motion", "Walk", "derive", "filled", "forecast", "longest", "refine", "search"]
 
 _LONGEST = 20.0  # seconds of a forecast that is shown
 _SHARE = 0.6  # of a trial
@@ -175,10 +175,26 @@ def forecast(progress: Callable[[str, dict], None], task: Task, model: Lagrangia
     return Found(model, "forecast", validation, motion, fault)
 
 
+def longest(data: Trajectories) -> int:
+    """The first of the longest trials, which an animation shows."""
+    most = max(run.duration for run in data)
+    return next(k for k, run in enumerate(data) if run.duration >= 0.99 * most)
+
+
+def filled(q: np.ndarray) -> np.ndarray:
+    """A copy in which a missing sample repeats the previous one, and the first ones repeat the next."""
+    out = q.copy()
+    for column in out.T:
+        there = np.flatnonzero(np.isfinite(column))
+        if there.size:
+            place = np.searchsorted(there, np.arange(column.size), side="right") - 1
+            column[:] = column[there[np.maximum(place, 0)]]
+    return out
+
+
 def _motion(model: LagrangianModel, task: Task) -> Motion:
     data: Trajectories = task.fitted if task.held_out is None else task.held_out
-    longest = max(run.duration for run in data)
-    place = next(k for k, run in enumerate(data) if run.duration > 0.99 * longest)
+    place = longest(data)
     run = data.select(place)
     result = model.validate(run, horizon=min(_SHARE * run.duration, _LONGEST))
     if result.coordinates != model.coordinates:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 import sympy as sp
 
+from leastaction.app.jobs import filled
 from leastaction.mechanics.equations import state_symbols
 
 if TYPE_CHECKING:
@@ -264,7 +265,7 @@ def frames(motion: Motion, model: LagrangianModel, most: int = 900, kind: Kind =
     end of the forecast there is null. ``known`` holds the fields of `Lengths`, or null.
     """
     step = -(-motion.t.size // most)
-    t, measured = motion.t[::step], _filled(motion.measured)
+    t, measured = motion.t[::step], filled(motion.measured)
     places, shown = _polar_places(model, measured) if kind == "polar" else _places(model, measured, kind)
     return {
         "kind": kind,
@@ -383,16 +384,6 @@ def _words_of_lengths(lengths: Lengths) -> str:
             f"{value / lengths.values[0]:.3g}" for value in lengths.values
         )
     return f"{text}." if lengths.last_given else f"{text}. {_LAST}"
-
-
-def _filled(q: np.ndarray) -> np.ndarray:
-    filled = q.copy()
-    for column in filled.T:
-        there = np.flatnonzero(np.isfinite(column))
-        if there.size:
-            place = np.searchsorted(there, np.arange(column.size), side="right") - 1
-            column[:] = column[there[np.maximum(place, 0)]]
-    return filled
 
 
 def _rows(q: np.ndarray) -> list[list[float] | None]:

@@ -9,6 +9,7 @@ from markupsafe import Markup
 from nicegui import events, html, run, ui
 
 __all__ = [
+    "Stick",
     "action",
     "aside",
     "choice",
@@ -139,3 +140,18 @@ def action(
         .classes(f"action {kind}")
     )
     return button.mark(mark) if mark else button
+
+
+class Stick(ui.element, component="stick.js"):
+    """An animation, with play, pause, pace and a slider for the time; stick.js draws it.
+
+    Parameters
+    ----------
+    frames : dict
+        As from `leastaction.app.motion.frames` or `leastaction.app.arm.motion_of`.
+    """
+
+    def __init__(self, frames: dict[str, Any]) -> None:
+        super().__init__()
+        self._props["frames"] = frames
+        self.classes(f"stick stick-{frames['kind']}")

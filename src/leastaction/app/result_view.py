@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Awaitable, Callable
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from nicegui import html, ui
@@ -14,6 +14,7 @@ from leastaction.app.figures import forecast_figure
 from leastaction.app.files import exported
 from leastaction.app.motion import frames, stick_kind, stick_words
 from leastaction.app.parts import (
+    Stick,
     action,
     aside,
     disclosure,
@@ -211,7 +212,7 @@ class ResultView:
                 with html.div():
                     data = frames(motion, model, kind=kind) if kind else {}
                     if kind:
-                        _Stick(data)
+                        Stick(data)
                     say(stick_words(kind, model, data), "help")
                 self.figures = html.div().classes("figures" if kind else "figures side")
         ui.timer(
@@ -288,15 +289,6 @@ class ResultView:
     async def _model(self) -> None:
         text = await aside(self.session.write_model)
         ui.download.content(text.encode(), "model.json", "application/json")
-
-
-class _Stick(ui.element, component="stick.js"):
-    """Measured and forecast links, with play, pause, pace and a slider for the time; stick.js draws them."""
-
-    def __init__(self, frames: dict[str, Any]) -> None:
-        super().__init__()
-        self._props["frames"] = frames
-        self.classes("stick")
 
 
 def compared(one: Found, other: Found, notation: Notation) -> list[tuple[str, str, str]]:

@@ -1,20 +1,26 @@
 // Links, a cart with links, a point about an origin or in a plane, or blocks on a rail: measured behind, forecast in
-// front. Colours come from the style sheet; motion.py says what is drawn.
+// front; or a robot arm, measured, from one side or two. Colours come from the style sheet; motion.py and arm.py say
+// what is drawn.
 export default {
   template: `
     <figure>
-      <svg :viewBox="box" role="img" :aria-label="words + ': measured in grey, forecast in colour'">
-        <path v-if="rail" class="rail" :d="rail" />
-        <path :d="trail" class="trail" />
-        <template v-for="side in ['measured', 'forecast']">
-          <g :class="side" v-if="shape(side)">
-            <path v-if="shape(side).line" class="limbs" :d="shape(side).line" />
-            <rect v-for="p in shape(side).carts" :x="p[0] - 13" :y="p[1] - 8" width="26" height="16" rx="3" />
-            <circle v-for="p in shape(side).joints" :cx="p[0]" :cy="p[1]" r="4.5" />
-          </g>
-        </template>
-        <circle v-if="pivoted" class="pivot" cx="0" cy="0" r="3" />
-      </svg>
+      <div class="views">
+        <div v-for="(name, view) in views">
+          <svg :viewBox="box" role="img" :aria-label="words(name)">
+            <path v-if="rail" class="rail" :d="rail" />
+            <path :d="trail(view)" class="trail" />
+            <template v-for="side in ['measured', 'forecast']">
+              <g :class="side" v-if="shape(side, view)">
+                <path v-if="shape(side, view).line" class="limbs" :d="shape(side, view).line" />
+                <rect v-for="p in shape(side, view).carts" :x="p[0] - 13" :y="p[1] - 8" width="26" height="16" rx="3" />
+                <circle v-for="p in shape(side, view).joints" :cx="p[0]" :cy="p[1]" r="4.5" />
+              </g>
+            </template>
+            <circle v-if="pivoted" class="pivot" cx="0" cy="0" r="3" />
+          </svg>
+          <p v-if="name" class="help">{{ name }}</p>
+        </div>
+      </div>
       <div class="controls">
         <button type="button" @click="toggle" class="play">{{ playing ? "Pause" : "Play" }}</button>
         <input type="range" min="0" :max="frames.t.length - 1" v-model.number="frame" @input="stop" aria-label="Time" />
@@ -32,7 +38,7 @@ export default {
       let [left, right, top, bottom] = [-30, 30, -12, 12];
       for (const rows of [this.frames.measured, this.frames.forecast]) {
         for (const row of rows) {
-          for (const [x, y] of row ? this.points(row) : []) {
+          for (const [x, y] of row ? this.views.flatMap((_, view) => this.points(row, view)) : []) {
             left = Math.min(left, x);
             right = Math.max(right, x);
             top = Math.min(top, y);
@@ -43,15 +49,17 @@ export default {
       const room = this.sliding ? 18 : 8;
       return `${left - room} ${top - room} ${right - left + 2 * room} ${bottom - top + 2 * room}`;
     },
+    arm() {
+      return this.frames.kind === "arm";
+    },
+    views() {
+      return this.frames.views ?? [""];
+    },
     sliding() {
       return this.frames.kind === "cart" || this.frames.kind === "blocks";
     },
     pivoted() {
-      return this.frames.kind === "links" || this.frames.kind === "polar";
-    },
-    words() {
-      const names = { links: "Links", cart: "Cart with links", plane: "Point in the plane", blocks: "Blocks" };
-      return names[this.frames.kind] ?? "Point about an origin";
+      return this.frames.kind === "links" || this.frames.kind === "polar" || this.arm;
     },
     rail() {
       return this.sliding ? "M-1000 10H1000" : "";
@@ -59,20 +67,26 @@ export default {
     paceText() {
       return this.pace === 1 ? "1 ×" : "¼ ×";
     },
-    trail() {
-      // The last second of the forecast's end.
-      const parts = [];
+  },
+  methods: {
+    words(view) {
+      if (this.arm) return `Robot arm as measured, ${view}`;
+      const names = { links: "Links", cart: "Cart with links", plane: "Point in the plane", blocks: "Blocks" };
+      return `${names[this.frames.kind] ?? "Point about an origin"}: measured in grey, forecast in colour`;
+    },
+    trail(view) {
+      // The last second of the end of the forecast, or of the arm.
+      const [rows, parts] = [this.arm ? this.frames.measured : this.frames.forecast, []];
       for (let k = this.frame; k >= 0 && this.frames.t[this.frame] - this.frames.t[k] < 1; k--) {
-        const p = this.points(this.frames.forecast[k]);
+        const p = this.points(rows[k], view);
         if (p) parts.push(p[p.length - 1].map((x) => x.toFixed(1)).join(" "));
       }
       return parts.length > 1 ? "M" + parts.join("L") : "";
     },
-  },
-  methods: {
-    points(row) {
+    points(row, view) {
       if (!row) return null;
       const kind = this.frames.kind;
+      if (this.arm) return Array.from({ length: row[view].length / 2 }, (_, k) => [row[view][2 * k], -row[view][2 * k + 1]]);
       if (kind === "plane" || kind === "polar") return [[row[0], -row[1]]];
       if (kind === "blocks") return row.map((x, k) => [x + 260 * (k - (row.length - 1) / 2), 0]);
       const angles = kind === "cart" ? row.slice(1) : row;
@@ -83,10 +97,14 @@ export default {
       });
       return points;
     },
-    shape(side) {
-      const points = this.points(this.frames[side][this.frame]);
+    shape(side, view) {
+      const points = this.points(this.frames[side][this.frame], view);
       if (!points) return null;
       const kind = this.frames.kind;
+      if (this.arm) {
+        const line = this.frames.limbs.map(([a, b]) => `M${points[a].join(" ")}L${points[b].join(" ")}`).join("");
+        return { line, carts: [], joints: points.slice(1) };
+      }
       if (kind === "plane") return { line: "", carts: [], joints: points };
       // What hangs is held from the origin.
       if (kind === "polar") return { line: this.frames.down ? `M0 0L${points[0].join(" ")}` : "", carts: [], joints: points };
