@@ -9,9 +9,10 @@ through the same samples in the same process.
 
     python benchmarks/run.py workers                        # 10⁵ and 10⁶ samples, one and two workers
     python benchmarks/run.py workers --samples 1e7 --workers 1
-    python benchmarks/run.py workers --pass                 # one Gauss–Newton pass alone
+    python -m benchmarks.run workers --pass                 # one Gauss–Newton pass alone
     python -m benchmarks.run workers --arm 20 --arm 120     # logs of a seven-joint arm at 1 kHz, in s
     python -m benchmarks.run imitation                      # share of the imitation test, warm
+    python -m benchmarks.run first-minute                   # what a new user waits for
 
 ``workers`` compares one worker with more on long recordings: the driven double pendulum at 100 Hz, 20 s a
 trial, with 10 % noise and the compact library, written to a file by a process of its own.  Wall time tells of
@@ -19,6 +20,10 @@ workers only on a machine that does nothing else, and two cores of a virtual mac
 as fast as one: ``--pass`` shows the ratio of two processes that share nothing beside that of two workers.
 ``main_s`` is the processor time of the thread that hands out the work, which no worker can take over;
 ``peak_mb`` is the memory of the program itself, and each worker takes some 150 MB beside it.
+
+``first-minute`` measures the core install in this environment (bytecode as far as it is compiled), fresh
+processes of commands, and pages in Chromium with an empty cache.  "Python alone" runs the ``.pth`` files of
+all packages that are installed, and is part of each command.
 """
 
 from __future__ import annotations
@@ -30,7 +35,10 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Iterator
+from importlib import metadata
+from importlib.util import cache_from_source, find_spec
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -147,7 +155,6 @@ def row(record: dict) -> str:
 # ------------------------------------------------------------- long recordings, one worker and more
 _SYSTEM, _TRIAL, _RATE = "double_pendulum", 20.0, 100.0
 _BATCH = 500  # trials simulated at once: the simulation must not take more memory than the search
-_PASSED = 200  # trials of one pass
 
 
 @main.command("workers")
@@ -170,9 +177,13 @@ def compare_workers(
         click.echo(json.dumps(measure_long(**json.loads(case))))
         return
     if one_pass:
+        from benchmarks.scaling import compare_passes
+
         compare_passes()
         return
     for seconds in logs:
+        from benchmarks.scaling import compare_on_an_arm
+
         compare_on_an_arm(seconds)
     if logs:
         return
@@ -191,23 +202,6 @@ def compare_workers(
                     f"processor {record['cpu_s']:>7.1f} s ({record['main_s']:.1f} s in the main thread)  "
                     f"peak {record['peak_mb']:>5} MB  {record['status']}"
                 )
-
-
-def compare_on_an_arm(seconds: float, repeats: int = 3) -> None:
-    """Identify an arm with one and with two workers, in turn."""
-    from benchmarks.arms import chain
-    from leastaction import arms
-    from leastaction.threads import single_threaded
-
-    made, walls = chain(1, seconds, 0.001), {1: [], 2: []}
-    with single_threaded():
-        for _ in range(repeats):
-            for number, times in walls.items():
-                begun = time.perf_counter()
-                arms.identify(made.log, made.true.tree, workers=number)
-                times.append(time.perf_counter() - begun)
-    one, two = (float(np.median(times)) for times in walls.values())
-    click.echo(f"log of {seconds:g} s: one worker {one:.1f} s, two {two:.1f} s, ratio {one / two:.2f}")
 
 
 def in_another_process(config: dict) -> dict:
@@ -292,63 +286,114 @@ def share_of_imitation_test(noise: float) -> None:
             )
 
 
-# ------------------------------------------------------------------------------- one pass, alone
-def compare_passes(repeats: int = 10) -> None:
-    """One pass along a motion: alone, by two workers, and its halves in two processes that share nothing."""
-    from leastaction.estimation.crew import employ
-    from leastaction.threads import single_threaded
-
-    walls: dict[str, list[float]] = {"alone": [], "two workers": [], "nothing shared": []}
-    with single_threaded(), employ(2) as crew:
-        alone, shared, halves = one_pass(_PASSED), one_pass(_PASSED, crew), [one_pass(_PASSED // 2)] * 2
-        shared()  # children start
-        for _ in range(repeats):
-            for name, run in (
-                ("alone", alone),
-                ("two workers", shared),
-                ("nothing shared", lambda: in_processes(halves)),
-            ):
-                begun = time.perf_counter()
-                run()
-                walls[name].append(time.perf_counter() - begun)
-    for name, times in walls.items():
-        ratio = np.median(walls["alone"]) / np.median(times)
-        click.echo(f"{name:<14} median {np.median(times):.3f} s  ratio {ratio:.2f}")
+# ------------------------------------------------------------------------- the first minute of a new user
+_PROCESSES = 10  # fresh ones of each command
+_VISITS = 5  # of each page, each with an empty cache
+_LIMITS = {  # what the program promises; the other rows have none
+    "core install, MB": 350.0,
+    "core install with bytecode, MB": 350.0,
+    "leastaction --help, ms": 100.0,
+    "first paint of the report, s": 0.3,
+    "first paint of the app, s": 1.0,
+    "step along the trade-off curve, s": 0.3,
+}
+_IMPORT = "from time import *; a = perf_counter(); import leastaction; print(perf_counter() - a)"
 
 
-def one_pass(trials: int, crew: Any = None) -> Callable[[], object]:
-    """What a Gauss–Newton step does with so many trials, from the smoothed samples."""
-    from leastaction import systems
-    from leastaction.curve.bspline import uniform_grid
-    from leastaction.curve.smoothing import smooth
-    from leastaction.estimation.blocks import observe
-    from leastaction.estimation.joint import Physics, Weights
-    from leastaction.mechanics.euler_lagrange import EulerLagrange
-
-    t, rng = np.arange(0.0, _TRIAL, 1.0 / _RATE), np.random.default_rng(0)
-    motion = np.column_stack([np.sin(2.3 * t), 0.7 * np.cos(3.1 * t)])
-    library = systems.compact_library(_SYSTEM)
-    columns = EulerLagrange(library.terms[:6], library.coordinates)
-    grid = uniform_grid([t] * trials, 100.0, 5, 2)
-    noisy = [motion + 0.01 * rng.standard_normal(motion.shape) for _ in range(trials)]
-    seen = observe(grid, [t] * trials, noisy, crew=crew)
-    control = smooth(grid, [t] * trials, noisy).control_points
-    physics = Physics(columns, np.ones(6, bool), None)
-    weights = Weights(np.full(2, 0.01), np.ones(2), np.ones(2))
-    return lambda: seen.linearise(physics, control, np.ones(6), weights).normal(weights).eliminate()
+@main.command("first-minute")
+@click.option("--output", type=click.Path(path_type=Path), default=Path("benchmarks/results/first.json"))
+def first_minute(output: Path) -> None:
+    """Print medians of sizes and waiting times beside their limits, and write all of them as JSON."""
+    figures: dict[str, list[float] | str] = {}
+    with tempfile.TemporaryDirectory() as folder:
+        for name, values in chain(installed(), commands(Path(folder)), pages(Path(folder) / "report.html")):
+            figures[name] = values
+            click.echo(figure_row(name, values))
+    write_text(output, json.dumps({"cores": os.cpu_count(), "figures": figures}, indent=1))
 
 
-def in_processes(halves: Iterable[Callable[[], object]]) -> None:
-    """Each in a process of its own."""
-    children = []
-    for run in halves:
-        child = os.fork()
-        if not child:
-            run()
-            os._exit(0)
-        children.append(child)
-    for child in children:
-        os.waitpid(child, 0)
+def figure_row(name: str, values: list[float] | str) -> str:
+    if isinstance(values, str):
+        return f"{name:<36} left out: {values}"
+    limit = f"  limit {_LIMITS[name]:g}" if name in _LIMITS else ""
+    times = f"  {min(values):.3g} to {max(values):.3g} in {len(values)}" if len(values) > 1 else ""
+    return f"{name:<36} {np.median(values):>6.3g}{limit:<12}{times}".rstrip()
+
+
+def core_distributions() -> list[metadata.Distribution]:
+    """leastaction and all that it needs without its extras."""
+    from packaging.requirements import Requirement
+    from packaging.utils import canonicalize_name
+
+    found: dict[str, metadata.Distribution] = {}
+    waiting = ["leastaction"]
+    while waiting:
+        name = canonicalize_name(waiting.pop())
+        if name not in found:
+            found[name] = metadata.distribution(name)
+            needs = map(Requirement, found[name].requires or ())
+            waiting += [n.name for n in needs if n.marker is None or n.marker.evaluate({"extra": ""})]
+    return list(found.values())
+
+
+def installed() -> Iterator[tuple[str, list[float] | str]]:
+    """Size of the core install."""
+    import leastaction
+
+    names = [name for name in _LIMITS if name.startswith("core")]
+    if find_spec("packaging") is None:
+        yield from ((name, "needs the package packaging") for name in names)
+        return
+    files = [Path(leastaction.__file__).parent.rglob("*")]  # an editable install lists but a link to it
+    for it in core_distributions():
+        if it.name != "leastaction":
+            files.append(Path(str(it.locate_file(file))) for file in it.files or ())
+    own = [path for path in chain(*files) if path.is_file() and path.suffix != ".pyc"]
+    code = [Path(cache_from_source(str(path))) for path in own if path.suffix == ".py"]
+    size, more = (sum(path.stat().st_size for path in paths if path.exists()) / 1e6 for paths in (own, code))
+    yield from zip(names, ([size], [size + more]), strict=True)
+
+
+def commands(folder: Path) -> Iterator[tuple[str, list[float] | str]]:
+    """Wall times of fresh processes; the report of the demonstration is then in the folder."""
+
+    def wall(*arguments: str) -> float:
+        begun = time.perf_counter()
+        subprocess.run([sys.executable, *arguments], capture_output=True, check=True, cwd=folder)
+        return time.perf_counter() - begun
+
+    for name, arguments in (
+        ("Python alone, ms", "-c pass"),
+        ("leastaction --help, ms", "-m leastaction --help"),
+    ):
+        wall(*arguments.split())  # files are in the cache of the system afterwards
+        yield name, [1e3 * wall(*arguments.split()) for _ in range(_PROCESSES)]
+    importing = [subprocess.check_output([sys.executable, "-c", _IMPORT]) for _ in range(_PROCESSES)]
+    yield "import leastaction, ms", [1e3 * float(seconds) for seconds in importing]
+    yield "leastaction demo, s", [wall("-m", "leastaction", "demo", "--output", str(folder))]
+    made = "generate single_pendulum --noise 0.1 --trials 2 --duration 10 --output run.csv"
+    found = "discover run.csv --coordinates theta --angles theta --forces theta_force --output found"
+    wall("-m", "leastaction", *made.split())
+    yield "leastaction discover, one angle, s", [wall("-m", "leastaction", *found.split()) for _ in range(3)]
+
+
+def pages(report: Path) -> Iterator[tuple[str, list[float] | str]]:
+    """Seconds to the first paint, and from a click to the law of a structure with fewer terms."""
+    sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))
+    import page_helpers
+
+    names = [name for name in _LIMITS if "paint" in name or "step" in name]
+    if not (page_helpers.chromium() and find_spec("playwright") and find_spec("nicegui")):
+        yield from ((name, "needs Chromium, playwright and nicegui") for name in names)
+        return
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        page_helpers.running_app(Path(folder)) as address,
+        page_helpers.browser() as browser,
+    ):
+        for name, where in zip(names, (report.as_uri(), address), strict=False):
+            yield name, [page_helpers.seconds_to_paint(browser, where) for _ in range(_VISITS)]
+        yield names[-1], page_helpers.steps_along_the_curve(browser, address)
 
 
 if __name__ == "__main__":

@@ -21,14 +21,17 @@ import resource
 import subprocess
 import sys
 import time
+from collections.abc import Callable, Iterable
 from itertools import combinations, pairwise
 from pathlib import Path
+from typing import Any
 
 import click
 import numpy as np
 
 _NOISE = 0.01
 _GRAVITY, _FRICTION = 9.81, 1.0
+_PASSED = 200  # trials of one pass, 20 s at 100 Hz each
 
 
 @click.command()
@@ -272,6 +275,82 @@ def _trial(links: int, duration: float, rng: np.random.Generator):
     start = np.concatenate([rng.uniform(-0.8, 0.8, links), np.zeros(links)])
     path = solve_ivp(slope, (0.0, duration), start, t_eval=t, rtol=1e-9, atol=1e-9, method="DOP853")
     return t, path.y[:links].T, torque(t)
+
+
+# --------------------------------------------- one pass, one arm: run.py workers --pass, run.py workers --arm
+def compare_on_an_arm(seconds: float, repeats: int = 3) -> None:
+    """Identify an arm with one and with two workers, in turn."""
+    from benchmarks.arms import chain
+    from leastaction import arms
+    from leastaction.threads import single_threaded
+
+    made, walls = chain(1, seconds, 0.001), {1: [], 2: []}
+    with single_threaded():
+        for _ in range(repeats):
+            for number, times in walls.items():
+                begun = time.perf_counter()
+                arms.identify(made.log, made.true.tree, workers=number)
+                times.append(time.perf_counter() - begun)
+    one, two = (float(np.median(times)) for times in walls.values())
+    click.echo(f"log of {seconds:g} s: one worker {one:.1f} s, two {two:.1f} s, ratio {one / two:.2f}")
+
+
+def compare_passes(repeats: int = 10) -> None:
+    """One pass along a motion: alone, by two workers, and its halves in two processes that share nothing."""
+    from leastaction.estimation.crew import employ
+    from leastaction.threads import single_threaded
+
+    walls: dict[str, list[float]] = {"alone": [], "two workers": [], "nothing shared": []}
+    with single_threaded(), employ(2) as crew:
+        alone, shared, halves = one_pass(_PASSED), one_pass(_PASSED, crew), [one_pass(_PASSED // 2)] * 2
+        shared()  # children start
+        for _ in range(repeats):
+            for name, run in (
+                ("alone", alone),
+                ("two workers", shared),
+                ("nothing shared", lambda: in_processes(halves)),
+            ):
+                begun = time.perf_counter()
+                run()
+                walls[name].append(time.perf_counter() - begun)
+    for name, times in walls.items():
+        ratio = np.median(walls["alone"]) / np.median(times)
+        click.echo(f"{name:<14} median {np.median(times):.3f} s  ratio {ratio:.2f}")
+
+
+def one_pass(trials: int, crew: Any = None) -> Callable[[], object]:
+    """What a Gauss–Newton step does with so many trials, from the smoothed samples."""
+    from leastaction import systems
+    from leastaction.curve.bspline import uniform_grid
+    from leastaction.curve.smoothing import smooth
+    from leastaction.estimation.blocks import observe
+    from leastaction.estimation.joint import Physics, Weights
+    from leastaction.mechanics.euler_lagrange import EulerLagrange
+
+    t, rng = np.arange(0.0, 20.0, 0.01), np.random.default_rng(0)
+    motion = np.column_stack([np.sin(2.3 * t), 0.7 * np.cos(3.1 * t)])
+    library = systems.compact_library("double_pendulum")
+    columns = EulerLagrange(library.terms[:6], library.coordinates)
+    grid = uniform_grid([t] * trials, 100.0, 5, 2)
+    noisy = [motion + 0.01 * rng.standard_normal(motion.shape) for _ in range(trials)]
+    seen = observe(grid, [t] * trials, noisy, crew=crew)
+    control = smooth(grid, [t] * trials, noisy).control_points
+    physics = Physics(columns, np.ones(6, bool), None)
+    weights = Weights(np.full(2, 0.01), np.ones(2), np.ones(2))
+    return lambda: seen.linearise(physics, control, np.ones(6), weights).normal(weights).eliminate()
+
+
+def in_processes(halves: Iterable[Callable[[], object]]) -> None:
+    """Each in a process of its own."""
+    children = []
+    for run in halves:
+        child = os.fork()
+        if not child:
+            run()
+            os._exit(0)
+        children.append(child)
+    for child in children:
+        os.waitpid(child, 0)
 
 
 if __name__ == "__main__":

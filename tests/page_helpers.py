@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import shutil
 import socket
 import subprocess
 import sys
@@ -15,6 +16,7 @@ from html.parser import HTMLParser
 from http.client import HTTPConnection
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 from urllib.parse import urlsplit
 from xml.etree import ElementTree
 
@@ -165,6 +167,80 @@ def axe_source() -> str | None:
     if carrier is not None and carrier.origin is not None:
         places.append(Path(carrier.origin).with_name("axe.min.js"))
     return next((path.read_text(encoding="utf-8") for path in places if path.is_file()), None)
+
+
+# ------------------------------------------------------------------------------------- a real browser
+_CHROMIUM = ("chromium", "chromium-browser", "google-chrome-stable", "google-chrome", "chrome")
+CHROMIUM_OPTIONS = [
+    "--headless",
+    "--no-sandbox",
+    "--disable-gpu",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+]
+
+
+def chromium() -> str | None:
+    """Path of the browser, if there is one."""
+    return next(filter(None, map(shutil.which, _CHROMIUM)), None)
+
+
+@contextmanager
+def browser() -> Iterator[Any]:
+    """Chromium, by Playwright."""
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as playwright:
+        found = playwright.chromium.launch(executable_path=chromium(), args=CHROMIUM_OPTIONS)
+        yield found
+        found.close()
+
+
+def seconds_to_paint(browser: Any, address: str) -> float:
+    """From the request of a page to its first text or picture, with an empty cache."""
+    context = browser.new_context()
+    page = context.new_page()
+    page.goto(address)
+    milliseconds = page.evaluate(
+        """() => new Promise((done) => new PerformanceObserver((seen) => {
+          for (const paint of seen.getEntriesByName('first-contentful-paint')) done(paint.startTime)
+        }).observe({type: 'paint', buffered: true}))"""
+    )
+    context.close()
+    return milliseconds / 1000
+
+
+def seconds_to_the_law_after(page: Any, button: str) -> float:
+    """From a click on a step along the curve to another law on the page, at most ten."""
+    return page.evaluate(
+        """(name) => new Promise((done) => {
+          const law = () => [...document.querySelectorAll('.formula')].map((p) => p.textContent).join()
+          const before = law(), start = performance.now()
+          const see = () => {
+            const seconds = (performance.now() - start) / 1000
+            if ((law() && law() !== before) || seconds > 10) done(seconds)
+            else requestAnimationFrame(see)
+          }
+          document.querySelector(`button[aria-label="${name}"]`).click()
+          see()
+        })""",
+        button,
+    )
+
+
+def steps_along_the_curve(browser: Any, address: str, most: int = 5) -> list[float]:
+    """Seconds to another law after each step to fewer terms, from that of the measured double pendulum on."""
+    page = browser.new_page()
+    page.goto(address)
+    for name in ("Double pendulum", "Continue to the candidates", "Find the Lagrangian"):
+        page.get_by_role("button", name=name).first.click()
+    page.get_by_text("How many terms?").wait_for(timeout=300_000)
+    place = page.get_by_role("slider", name="Number of terms").get_attribute("aria-valuenow")
+    seconds = [seconds_to_the_law_after(page, "Fewer terms") for _ in range(min(int(place), most))]
+    page.close()
+    return seconds
 
 
 _NUMBER = r"-?(?:\d+\.?\d*|\.\d+)"

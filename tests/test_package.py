@@ -20,7 +20,8 @@ import pytest
 
 import leastaction
 import leastaction as la
-from benchmarks import ablations, thresholds
+import page_helpers
+from benchmarks import ablations, run, thresholds
 from helpers import MODELS, finite_difference, states
 from leastaction import InputError, LagrangianModel
 from leastaction.curve.settings import CURVE
@@ -182,6 +183,29 @@ def test_the_paper_cites_what_its_bibliography_holds():
     assert set(re.findall(r"@([a-z]+\d{4})", paper)) == entries
     for name in re.findall(r"\]\(([^)]+\.svg)\)", paper):
         assert (ROOT / "paper" / name).exists()
+
+
+# --------------------------------------------------- figures of the first minute: benchmarks.run first-minute
+def test_the_core_install_is_what_the_package_needs_without_extras(project):
+    found = {distribution.name.lower() for distribution in run.core_distributions()}
+    required = {re.match(r"[\w-]+", line)[0].lower() for line in project["project"]["dependencies"]}
+    assert required | {"leastaction", "mpmath", "markupsafe"} <= found  # two that others need
+    assert not found & {"nicegui", "pandas", "matplotlib", "pytest", "packaging"}
+    size, with_bytecode = (values[0] for _, values in run.installed())
+    assert 100.0 < size <= with_bytecode < 350.0
+
+
+def test_a_figure_is_the_median_beside_its_limit():
+    row = run.figure_row("leastaction --help, ms", [121.0, 90.0, 95.0])
+    assert " ".join(row.split()) == "leastaction --help, ms 95 limit 100 90 to 121 in 3"
+    assert "limit" not in run.figure_row("leastaction demo, s", [10.0])
+
+
+def test_figures_of_pages_are_left_out_without_a_browser(monkeypatch, tmp_path):
+    monkeypatch.setattr(page_helpers, "chromium", lambda: None)
+    rows = [run.figure_row(name, values) for name, values in run.pages(tmp_path / "report.html")]
+    assert len(rows) == 3
+    assert all("left out: needs Chromium" in row for row in rows)
 
 
 # ------------------------------------------------------------------------- without the packages of the extras
