@@ -21,7 +21,6 @@ from leastaction.cli.discover import OUTPUTS, command_line, write_outputs
 from leastaction.cli.output import check_folder
 from leastaction.cli.show import live_progress, say, show_fit, show_table, with_error
 from leastaction.cli.text import complete_folder, shown
-from leastaction.findings import as_given, smoothing_widths
 from leastaction.identifiers import counted
 
 if TYPE_CHECKING:
@@ -232,6 +231,8 @@ def _show_coefficients(chosen: Demo, model: LagrangianModel) -> None:
 
     Friction that two models divide among different terms is not compared coefficient by coefficient.
     """
+    from leastaction.findings import as_given, smoothing_widths
+
     rows = [("term", "found", "published", "difference", "z")]
     headings = {}
     widths = smoothing_widths(model.fit.findings)

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from leastaction.cli.text import in_options, one_line
-from leastaction.findings import STATED, alike, as_given, sentence, smoothing_widths, with_held_out
 from leastaction.identifiers import counted
 
 if TYPE_CHECKING:
@@ -174,6 +173,7 @@ def show_model(
 
     With lengths of links, also gravity. With a forecast of held-out trials, the verdict gives its error.
     """
+    from leastaction.findings import as_given, smoothing_widths
     from leastaction.model.notation import interval_text, plain_sum, z_text
     from leastaction.model.text import resting_lines, simple_lines, symmetry_lines
 
@@ -240,6 +240,8 @@ def _differences(model: LagrangianModel) -> Iterator[tuple[str, list[ModelTerm]]
 
 def show_fit(model: LagrangianModel, forecast: ForecastResult | None = None) -> None:
     """Print the status of the fit, its warnings, and what was done to library and data."""
+    from leastaction.findings import with_held_out
+
     doubts = model.fit.status != "ok"
     status = model.fit.status.upper() if doubts else "ok"
     color = "yellow" if doubts else "green"
@@ -266,6 +268,7 @@ def show_fit(model: LagrangianModel, forecast: ForecastResult | None = None) -> 
 
 def _notes(model: LagrangianModel) -> Iterator[str]:
     """Notes that the statements and the law do not contain already; those of one kind in one sentence."""
+    from leastaction.findings import STATED, alike, as_given, sentence, smoothing_widths
     from leastaction.model.text import smoothing_notes
 
     notes = [f for f in model.fit.findings if f.severity == "note" and f.code not in STATED]

@@ -19,7 +19,6 @@ from leastaction.cli.text import complete_file, one_line, shown
 from leastaction.cli.values import assignments, blame, number
 from leastaction.errors import DataError, InputError
 from leastaction.exporters import FORMATS, check_format
-from leastaction.findings import sentence
 from leastaction.identifiers import quoted
 
 if TYPE_CHECKING:
@@ -222,6 +221,7 @@ def validate(
     those of an exact model, and relative to the noise and the standard deviation of the data.
     """
     import leastaction
+    from leastaction.findings import sentence
     from leastaction.io import write_text
     from leastaction.model.checks import columns_of
 
