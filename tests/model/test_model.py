@@ -964,6 +964,20 @@ def test_plot_of_coefficients():
     assert low > high  # the first term is on top
 
 
+def test_plot_of_a_library_shows_what_each_candidate_contains():
+    terms = ["x_dot**2", "x_dot*y_dot*cos(y)", "x**2"]
+    library = la.Library(terms, ["x", "y"], dissipation=["y_dot**2"])
+    display = library.plot()
+    assert [label.get_text() for label in display.ax_.get_yticklabels()] == ["x", "y", "x_dot", "y_dot"]
+    drawn = {line.get_label(): {*map(tuple, line.get_xydata().tolist())} for line in display.lines_[0]}
+    assert drawn == {
+        "with velocities": {(1, 2), (2, 1), (2, 2), (2, 3)},
+        "potentials": {(3, 0)},
+        "dissipation": {(4, 3)},
+    }
+    assert display.ax_.get_title() == "Library of x, y: 3 terms"
+
+
 def test_trade_off():
     curve = spring_with_curve().diagnostics.trade_off
     display = curve.plot()

@@ -13,16 +13,18 @@ from leastaction.errors import InputError
 from leastaction.identifiers import counted, names_in_terms
 from leastaction.library.reduction import same_functions
 from leastaction.library.term import Candidate, Kind, Term, make_term
-from leastaction.shown import Card, Shown, data_frame
+from leastaction.shown import Card, Display, Panel, Series, Shown, data_frame
 
 if TYPE_CHECKING:
     import pandas as pd
+    from matplotlib.axes import Axes
 
     from leastaction.library.library import Library
 
 __all__ = ["ShownLibrary", "listing_of", "place_among_all", "place_of", "place_within"]
 
 _SHOWN = 6
+_DOTS = {"linestyle": "none", "marker": "o", "markersize": 4}
 _REASONS = {"null": "without effect", "duplicate": "repeated", "dependent": "equal to others in effect"}
 
 
@@ -53,6 +55,56 @@ class ShownLibrary(Shown):
         columns: dict[str, Any] = {"expression": [t.text for t in terms], "kind": [t.kind for t in terms]}
         return data_frame({**columns, "length": [float("nan") if x is None else x for x in lengths]})
 
+    def plot(self, ax: Axes | Sequence[Axes] | None = None, **kwargs: Any) -> Display:
+        """Plot which coordinates and velocities each candidate contains.
+
+        Candidates are numbered along x in their sequence, first those of L, then those of dissipation. A
+        coordinate in few of them, or a pair that no candidate couples, is seen at once.
+
+        Parameters
+        ----------
+        ax : matplotlib.axes.Axes, optional
+            By default a new figure.
+        **kwargs
+            Properties of Matplotlib's lines, such as ``color``.
+
+        Returns
+        -------
+        Display
+            With ``figure_``, ``ax_``, ``axes_`` and ``lines_``: candidates with velocities, potentials, and
+            dissipation, as far as there are any.
+
+        Raises
+        ------
+        InputError
+            If `ax` holds several axes; also, as an ImportError too, if Matplotlib is not installed (extra
+            ``plot``).
+
+        Examples
+        --------
+        >>> from leastaction import Library
+        >>> display = Library(["x_dot**2", "x", "x*y"], ["x", "y"], dissipation=["x_dot**2"]).plot()
+        >>> [line.get_label() for line in display.lines_[0]]
+        ['with velocities', 'potentials', 'dissipation']
+        """
+        library = cast("Library", self)
+        names = [*library.coordinates, *library.velocities]
+        kinds: dict[str, list[tuple[int, int]]] = {}
+        for number, term in enumerate(self._listed()[0], start=1):
+            held = [
+                row
+                for row, name in enumerate(names)
+                if sympy.Symbol(name, real=True) in term.expr.free_symbols
+            ]
+            moving = any(row >= len(library.coordinates) for row in held)
+            kind = (
+                "dissipation" if term.kind == "dissipation" else "with velocities" if moving else "potentials"
+            )
+            kinds.setdefault(kind, []).extend((number, row) for row in held)
+        series = [Series(*zip(*places, strict=True), kind, style=_DOTS) for kind, places in kinds.items()]
+        panel = Panel("", "", series, "candidate", rows=names)
+        return Display([panel], self._title).plot(ax, **kwargs)
+
     def summary(self) -> str:
         """One line with the number of terms of each kind.
 
@@ -78,6 +130,11 @@ class ShownLibrary(Shown):
         terms = [*library.terms, *library.dissipation]
         return terms, [*library.lengths, *[None] * (len(terms) - len(library.lengths))]
 
+    @property
+    def _title(self) -> str:
+        library = cast("Library", self)
+        return f"Library of {', '.join(library.coordinates)}: {counted(len(library), 'term')}"
+
     def _card(self) -> Card:
         library = cast("Library", self)
         terms, lengths = self._listed()
@@ -86,8 +143,11 @@ class ShownLibrary(Shown):
             rows.append((term.text, term.kind, "" if length is None else f"{length:.1f}"))
         if all(length is None for length in lengths):
             rows = [row[:2] for row in rows]
-        title = f"Library of {', '.join(library.coordinates)}: {counted(len(library), 'term')}"
-        title += f", {len(library.dissipation)} of dissipation" if library.dissipation else ""
+        title = (
+            f"{self._title}, {len(library.dissipation)} of dissipation"
+            if library.dissipation
+            else self._title
+        )
         found = Counter(d.reason for d in library.dropped)
         notes = [f"left out: {n} {_REASONS.get(reason, reason)}" for reason, n in found.items()]
         angles = [f"angles: {', '.join(library.angles)}"] if library.angles else []
