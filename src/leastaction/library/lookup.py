@@ -89,7 +89,7 @@ class ShownLibrary(Shown):
         """
         library = cast("Library", self)
         names = [*library.coordinates, *library.velocities]
-        kinds: dict[str, list[tuple[int, int]]] = {}
+        kinds: dict[str, tuple[list[int], list[int]]] = {}
         for number, term in enumerate(self._listed()[0], start=1):
             held = [
                 row
@@ -100,8 +100,10 @@ class ShownLibrary(Shown):
             kind = (
                 "dissipation" if term.kind == "dissipation" else "with velocities" if moving else "potentials"
             )
-            kinds.setdefault(kind, []).extend((number, row) for row in held)
-        series = [Series(*zip(*places, strict=True), kind, style=_DOTS) for kind, places in kinds.items()]
+            numbers, rows = kinds.setdefault(kind, ([], []))
+            numbers += [number] * len(held)
+            rows += held
+        series = [Series(numbers, rows, kind, style=_DOTS) for kind, (numbers, rows) in kinds.items()]
         panel = Panel("", "", series, "candidate", rows=names)
         return Display([panel], self._title).plot(ax, **kwargs)
 
