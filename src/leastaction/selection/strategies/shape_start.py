@@ -40,6 +40,7 @@ _PLACES = {1: 33, 2: 1024}  # of candidates that are placed together, by the num
 _MOST_PLACES = 2048  # of those with more
 _SHARED_STARTS = 8  # of numbers that candidates share, beside those that are their own
 _CHOSEN = 16  # of sets of places, beside all of these together
+_MORE = 4  # times as many, where these lead to none that explains the rows
 _TRIED = 8  # of the starts, beside each number of plain candidates
 _REFINED = 4  # of the numbers that these lead to
 _MOST_SHARED = 2  # numbers of several kinds that are placed together
@@ -51,7 +52,7 @@ def run(search: Search) -> Search:
     if not problem.ranges:
         return search
     search.report("shapes", {})
-    begun = [search.at(point.values) for point in places(search)[: SELECTION.shape_compared]]
+    begun = [search.at(point.values) for point in places(search, thorough=True)[: SELECTION.shape_compared]]
     if not begun:
         return search
     tried = [shape_fit.run(weak_start.run(at)) for at in begun]
@@ -95,11 +96,12 @@ def _again(search: Search, other: Fit) -> Fit:
     return shape_fit.run(search.now(fit.grid.posed(problem).fit(Structure(members), start))).found
 
 
-def places(search: Search, most: int = _MOST_STARTS) -> list[ProfilePoint]:
+def places(search: Search, most: int = _MOST_STARTS, thorough: bool = False) -> list[ProfilePoint]:
     """All shape parameters of the grid's problem, those of one candidate after those of another.
 
     Of each candidate with shape parameters ``most`` starts are tried. The best comes first, then what the
-    last candidate may have instead; empty where one is undefined at all.
+    last candidate may have instead; empty where one is undefined at all. Thorough, more sets of places are
+    begun with where candidates are placed together and the first do not explain the rows.
     """
     problem = search.grid.problem
     profile = Profile(search.grid, search.curve, search.seed)
@@ -108,8 +110,11 @@ def places(search: Search, most: int = _MOST_STARTS) -> list[ProfilePoint]:
     for group in _rounds(problem):
         others = {n: v for n, v in values.items() if n not in group.names}
         bearers = _determined(problem, {*others, *group.names})
-        begun = _begun(profile, group, others, bearers, most)
-        new = _distinct(_best(profile, bearers, begun, group), problem.ranges)
+        for sets in (_CHOSEN, _MORE * _CHOSEN):
+            begun = _begun(profile, group, others, bearers, most, sets)
+            new = _distinct(_best(profile, bearers, begun, group), problem.ranges)
+            if not (thorough and group.together) or (new and _explains(new[0])):
+                break
         complete = bool(found) and set(found[0].values) == {*others, *group.names}
         if new and not (complete and found[0].score <= new[0].score):
             found, values = new, dict(new[0].values)
@@ -202,9 +207,9 @@ def _alone(problem: Problem, k: int) -> dict[int, dict[str, str]]:
 
 
 def _begun(
-    profile: Profile, group: _Group, others: dict[str, float], bearers: list[int], most: int
+    profile: Profile, group: _Group, others: dict[str, float], bearers: list[int], most: int, sets: int
 ) -> list[list[ProfilePoint]]:
-    """Numbers to begin with, beside ever more plain candidates."""
+    """Numbers to begin with, beside ever more plain candidates; of places taken together, so many sets."""
     ranges = profile.problem.ranges
     if not group.together:
         count = min(_STARTS.get(len(group.names), _MOST_STARTS), most)
@@ -219,7 +224,7 @@ def _begun(
     shared = {name: ranges[name] for name in _shared(group)}
     numbers = list(shape_starts(shared, _SHARED_STARTS)) if shared else [dict[str, float]()]
     chosen = [profile.chosen(kinds, {**others, **each}, bearers) for each in numbers]
-    most_each, levels = _CHOSEN // len(numbers), list[list[ProfilePoint]]()
+    most_each, levels = sets // len(numbers), list[list[ProfilePoint]]()
     for level in zip(*filter(None, chosen), strict=True):
         points = [profile.refined(p, bearers, roughly=True) for some in level for p in some[:most_each]]
         levels.append(_distinct(sorted(points, key=lambda p: p.score), ranges))
@@ -255,10 +260,15 @@ def _best(
         found.sort(key=lambda p: p.score)
         unused = [p for p in found if max(p.members, default=0) < len(profile.plain)]
         found = [p for p in found if p not in unused[1:]]  # without the term, its numbers do not matter
-        explained = any(p.ratio < SELECTION.rows_explained and p.score < 0.0 for p in refined)
+        explained = any(map(_explains, refined))
         if count and explained and not group.together:
             break
     return found
+
+
+def _explains(point: ProfilePoint) -> bool:
+    """Whether noise explains what is left, at numbers that are better than no law at all."""
+    return point.ratio < SELECTION.rows_explained and point.score < 0.0
 
 
 def _lowest(points: Sequence[ProfilePoint]) -> list[ProfilePoint]:
