@@ -38,14 +38,13 @@ from leastaction.report.captions import (
     residual_title,
     symmetry_note,
 )
-from leastaction.report.decades import Folded, folded
 from leastaction.report.figures_model import pareto_figure, whisker
 from leastaction.report.law import contributions, correlations, equations
 from leastaction.report.series import Energy, Series
 from leastaction.report.svg import COLOURS, corners, dot_path, line_path, number
 from leastaction.report.tables import motion_rows, pareto_rows, path_rows, symmetry_rows
 from leastaction.report.text import in_powers, plain
-from leastaction.report.ticks import Linear, Ticks
+from leastaction.report.ticks import Folded, Linear, Ticks, folded
 from leastaction.report.verdict import in_symbols, unlike_noise, verdict
 from leastaction.simulation.forecast import ForecastResult, ForecastTrace
 from page_helpers import Figure, Page, pieces, spring

@@ -201,6 +201,10 @@ class Problem:
         """The problem without some of its candidates."""
         return replace(self, excluded=self.excluded | {int(m) for m in members})
 
+    def allowing(self, members: Sequence[int]) -> Problem:
+        """The problem with candidates that were excluded."""
+        return replace(self, excluded=self.excluded - {int(m) for m in members})
+
     def releasing(self, member: int) -> Problem:
         """The problem with one known coefficient made free."""
         return replace(self, known=np.where(np.arange(self.known.size) == member, np.nan, self.known))

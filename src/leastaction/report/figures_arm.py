@@ -15,9 +15,9 @@ from leastaction.arms.model import ArmModel
 from leastaction.mechanics.arm_terms import FRICTION
 from leastaction.mechanics.rigid_bodies import Motion
 from leastaction.report.axes import HALF, THIRD, Axes, thin_line
-from leastaction.report.decades import Log
 from leastaction.report.svg import Colour
 from leastaction.report.text import plural
+from leastaction.report.ticks import Log
 
 __all__ = ["FROM_LOG", "ArmFigures", "density", "sides"]
 

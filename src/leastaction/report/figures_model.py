@@ -14,10 +14,9 @@ from leastaction.model.diagnostics import PathPoint
 from leastaction.model.notation import interval_text, rounded
 from leastaction.model.term import INTERVAL_RISE, ModelTerm, ShapeParameter
 from leastaction.report.axes import HALF, Axes, thin_line
-from leastaction.report.decades import Folded
 from leastaction.report.series import Energy
 from leastaction.report.text import plain, signed
-from leastaction.report.ticks import Linear
+from leastaction.report.ticks import Folded, Linear
 from leastaction.simulation.forecast import ForecastTrace
 
 __all__ = [

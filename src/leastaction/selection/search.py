@@ -35,15 +35,18 @@ from leastaction.selection.strategies import (
     simulation_error,
     terms_again,
     weak_start,
+    whole_turns,
 )
 
 __all__ = ["ON_ONE_GRID", "WITH_HIDDEN", "find_on_data", "find_structure", "run_search"]
 
 ON_ONE_GRID = (
     shape_start,
+    whole_turns,
     weak_start,
     shape_fit,
     finer_knots,
+    whole_turns,
     frequency_scan,
     kinetic_restart,
     grown_families,
