@@ -10,11 +10,11 @@ from leastaction.diagnosis.effects import Effects
 from leastaction.diagnosis.shapes import chance, laws_in_play
 from leastaction.estimation.fit import Fit
 from leastaction.estimation.problem import Problem
-from leastaction.estimation.settings import ESTIMATION
 from leastaction.estimation.volume import positive_definite
 from leastaction.findings import Finding, find
 from leastaction.mechanics.euler_lagrange import Points
 from leastaction.selection.alternatives import Alternative
+from leastaction.selection.search_state import equations_exact
 
 __all__ = ["rival_warnings"]
 
@@ -46,7 +46,7 @@ def rival_warnings(
     numbers = parameters_of(chosen)
     same = [a for a in alternatives if len(a.structure) == size or parameters_of(a.structure) == numbers]
     rivals = [a for a in same if a.structure != chosen and a.cost < chance(fit, chosen.without(a.structure))]
-    if np.all(fit.weights.slack < ESTIMATION.slack_left):
+    if equations_exact(fit):
         larger = [a for a in alternatives if a not in same and parameters_of(a.structure) == numbers + 1]
         larger = [a for a in larger if a.reason not in _REFUTED]
         extended = min((a.cost for a in larger if chosen <= a.structure), default=0.0)

@@ -15,11 +15,12 @@ from leastaction.estimation.fit import Fit
 from leastaction.estimation.force_bias import ForceBias, no_bias
 from leastaction.estimation.grid import Grid
 from leastaction.estimation.problem import Problem
+from leastaction.estimation.settings import ESTIMATION
 from leastaction.findings import Finding
 from leastaction.selection.progress import Progress, silent
 from leastaction.selection.settings import SELECTION
 
-__all__ = ["Search", "begin_search", "equations_hold", "explains", "restarted"]
+__all__ = ["Search", "begin_search", "equations_exact", "equations_hold", "explains", "restarted"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,6 +140,11 @@ def restarted(search: Search, grid: Grid, curve: Smooth | None = None) -> Search
 def equations_hold(fit: Fit) -> bool:
     """Whether every equation holds to one per cent of its terms."""
     return bool(np.all(fit.equation_error()[0] <= SELECTION.holds))
+
+
+def equations_exact(fit: Fit) -> bool:
+    """Whether hardly any equation error is visible."""
+    return bool(np.all(fit.weights.slack < ESTIMATION.slack_left))
 
 
 def explains(fit: Fit, value: float) -> bool:

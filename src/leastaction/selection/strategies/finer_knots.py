@@ -18,7 +18,7 @@ import numpy as np
 from leastaction.estimation.fit import Fit
 from leastaction.estimation.grid import Grid
 from leastaction.estimation.settings import ESTIMATION
-from leastaction.selection.search_state import Search
+from leastaction.selection.search_state import Search, equations_exact
 from leastaction.selection.settings import SELECTION
 
 __all__ = ["run"]
@@ -115,7 +115,7 @@ def _has_all_information(coarser: Fit, finer: Fit) -> bool:
     coordinate has no samples, so that rounding of the normal equations, which grows with weights and knots,
     looks like information on it.
     """
-    exact = all(np.all(fit.weights.slack < ESTIMATION.slack_left) for fit in (coarser, finer))
+    exact = equations_exact(coarser) and equations_exact(finer)
     moved = np.abs(finer.estimates - coarser.estimates)
     still = moved <= SELECTION.biased * np.maximum(coarser.standard_errors, _least(finer))
     return bool(coarser.problem.hidden and exact and np.all(still))

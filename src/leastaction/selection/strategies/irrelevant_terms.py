@@ -15,10 +15,9 @@ from __future__ import annotations
 import numpy as np
 
 from leastaction.estimation.fit import Fit
-from leastaction.estimation.settings import ESTIMATION
 from leastaction.selection.likelihood_refinement import Neighbourhood, penalty, refine, tell
 from leastaction.selection.likelihood_search import QuadraticModel, search_subsets
-from leastaction.selection.search_state import Search
+from leastaction.selection.search_state import Search, equations_exact
 
 __all__ = ["best_part", "price_of_terms", "refined", "run"]
 
@@ -36,7 +35,7 @@ def refined(search: Search, rounds: int) -> Search:
     """
     fit = search.found
     again = refine(fit, search.report, rounds)
-    exact = np.all(fit.weights.slack < ESTIMATION.slack_left)
+    exact = equations_exact(fit)
     if again.structure == fit.structure or exact or not fit.converged:
         return search.now(again)
     before, after = (run(search.now(one)).found for one in (fit, again))

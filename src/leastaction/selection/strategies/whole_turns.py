@@ -17,16 +17,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-import numpy as np
 import sympy as sp
 
-from leastaction.estimation.fit import Fit
 from leastaction.estimation.problem import Problem
-from leastaction.estimation.settings import ESTIMATION
 from leastaction.library import Term
-from leastaction.selection.likelihood_refinement import best_structure, penalty, value
-from leastaction.selection.search_state import Search, equations_hold
-from leastaction.selection.weak_proposals import Proposal, propose_structures
+from leastaction.selection.likelihood_refinement import penalty, value
+from leastaction.selection.search_state import Search, equations_exact, equations_hold
+from leastaction.selection.strategies import weak_start
 
 __all__ = ["powers_of_angles", "run"]
 
@@ -42,9 +39,9 @@ def run(search: Search) -> Search:
         return search
     fit = search.found
     allowed = fit.posed(fit.problem.allowing(powers))
-    if fit.converged and equations_hold(fit) and not _exact(fit):
+    if fit.converged and equations_hold(fit) and not equations_exact(fit):
         wider = allowed.grid.fit(fit.structure.with_(powers), fit.start)
-        if not _exact(wider):
+        if not (wider.converged and equations_exact(wider)):
             return search
     return search.posed(lambda problem: problem.allowing(powers)).now(allowed)
 
@@ -65,25 +62,12 @@ def _changes(term: Term, angles: Sequence[str]) -> bool:
 def _begun(search: Search, powers: Sequence[int]) -> Search:
     """The best structure on the first grid, without powers of angles if the best start is as good."""
     narrow = search.posed(lambda problem: problem.excluding(powers))
-    proposals = _proposals(search)
+    proposals = weak_start.proposals(search)
     first = proposals[0]
     if not {*powers} & {*first.structure}:
         others = [replace(p, grid=narrow.grid) for p in proposals if not {*powers} & {*p.structure}]
-        return _refined(narrow, others)
-    others = _proposals(narrow)
+        return weak_start.refined(narrow, others)
+    others = weak_start.proposals(narrow)
     with_powers, without = (p.grid.fit(p.structure, p.start) for p in (first, others[0]))
     as_good = value(without) > value(with_powers) - 0.5 * penalty(search.grid)  # the price of a term
-    return _refined(narrow, others) if as_good else _refined(search, proposals)
-
-
-def _proposals(search: Search) -> list[Proposal]:
-    return propose_structures(search.grid, search.curve, search.report, search.seed)
-
-
-def _refined(search: Search, proposals: Sequence[Proposal]) -> Search:
-    fit = best_structure(proposals, None, search.report)
-    return search.now(fit, first=fit)
-
-
-def _exact(fit: Fit) -> bool:
-    return bool(fit.converged and np.all(fit.weights.slack < ESTIMATION.slack_left))
+    return weak_start.refined(narrow, others) if as_good else weak_start.refined(search, proposals)
