@@ -16,7 +16,7 @@ import sympy as sp
 
 from leastaction.data.validation import close_match, listed
 from leastaction.errors import InputError, MissingPackageError
-from leastaction.findings import as_given, smoothing_widths
+from leastaction.findings import as_given
 from leastaction.identifiers import quoted
 from leastaction.library import Library, time_symbol
 from leastaction.model.model import LagrangianModel
@@ -140,7 +140,7 @@ def _terms(what: LagrangianModel | Library) -> list[tuple[str, str, sp.Expr]]:
             ("lagrangian", what.terms, what.expressions),
             ("dissipation", what.dissipation, what.dissipation_expressions),
         )
-        widths = smoothing_widths(what.fit.findings)
+        widths = what.fit.smoothing_widths
         return [
             (as_given(t.expression, widths), kind, e)
             for kind, ts, es in parts

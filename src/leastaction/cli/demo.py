@@ -231,11 +231,11 @@ def _show_coefficients(chosen: Demo, model: LagrangianModel) -> None:
 
     Friction that two models divide among different terms is not compared coefficient by coefficient.
     """
-    from leastaction.findings import as_given, smoothing_widths
+    from leastaction.findings import as_given
 
     rows = [("term", "found", "published", "difference", "z")]
     headings = {}
-    widths = smoothing_widths(model.fit.findings)
+    widths = model.fit.smoothing_widths
     texts = {term: as_given(term.expression, widths) for term in (*model.terms, *model.dissipation)}
     same_friction = {texts[term] for term in model.dissipation} == {*chosen.published_dissipation}
     kinds = (

@@ -173,11 +173,11 @@ def show_model(
 
     With lengths of links, also gravity. With a forecast of held-out trials, the verdict gives its error.
     """
-    from leastaction.findings import as_given, smoothing_widths
+    from leastaction.findings import as_given
     from leastaction.model.notation import interval_text, plain_sum, z_text
     from leastaction.model.text import resting_lines, simple_lines, symmetry_lines
 
-    widths = smoothing_widths(model.fit.findings)
+    widths = model.fit.smoothing_widths
     say(f"L = {plain_sum(model.terms, model.expressions, widths=widths)}")
     if model.dissipation:
         say(f"psi = {plain_sum(model.dissipation, model.dissipation_expressions, widths=widths)}")
@@ -268,11 +268,11 @@ def show_fit(model: LagrangianModel, forecast: ForecastResult | None = None) -> 
 
 def _notes(model: LagrangianModel) -> Iterator[str]:
     """Notes that the statements and the law do not contain already; those of one kind in one sentence."""
-    from leastaction.findings import STATED, alike, as_given, sentence, smoothing_widths
+    from leastaction.findings import STATED, alike, as_given, sentence
     from leastaction.model.text import smoothing_notes
 
     notes = [f for f in model.fit.findings if f.severity == "note" and f.code not in STATED]
-    widths = smoothing_widths(notes)
+    widths = model.fit.smoothing_widths
     if not smoothing_notes(model):
         notes = [f for f in notes if f.code != "friction-smoothed"]
     for *others, last in alike(notes):

@@ -23,7 +23,7 @@ import sympy as sp
 
 from leastaction.errors import InputError
 from leastaction.exporters.shared import about
-from leastaction.findings import as_given, smoothing_widths
+from leastaction.findings import as_given
 from leastaction.mechanics.equations import state_symbols
 from leastaction.model.model import LagrangianModel
 
@@ -163,7 +163,7 @@ def _dampers(model: LagrangianModel, relative: bool) -> tuple[np.ndarray, tuple[
                 damping[k] += term.coefficient * float(ratio)
                 break
         else:
-            left_out.append(as_given(term.written, smoothing_widths(model.fit.findings)))
+            left_out.append(as_given(term.written, model.fit.smoothing_widths))
     return damping, tuple(left_out)
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from xml.etree import ElementTree as ET
 
 from leastaction.exporters.shared import unused
-from leastaction.findings import as_given, smoothing_widths
+from leastaction.findings import as_given
 from leastaction.kinds import is_mapping
 from leastaction.library import format_expression
 from leastaction.model.model import LagrangianModel
@@ -75,7 +75,7 @@ def variables(model: LagrangianModel, max_step: float) -> list[Variable]:
         ("lagrangian", "L", model.terms, model.expressions),
         ("dissipation", "the dissipation function", model.dissipation, model.dissipation_expressions),
     )
-    widths = smoothing_widths(model.fit.findings)
+    widths = model.fit.smoothing_widths
     for name, whole, terms, expressions in groups:
         for k, (term, expr) in enumerate(zip(terms, expressions, strict=True), start=1):
             text = f"coefficient of {as_given(format_expression(expr), widths)} in {whole}"

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 import sympy as sp
 from sympy.printing.c import C99CodePrinter
 
-from leastaction.findings import as_given, smoothing_widths
+from leastaction.findings import as_given
 from leastaction.library import format_expression
 from leastaction.mechanics.equations import Mechanics
 from leastaction.model.model import LagrangianModel
@@ -38,7 +38,7 @@ def about(model: LagrangianModel, element: str = "q[{i}]", base: int = 0) -> lis
         ("L", model.terms, model.expressions),
         ("psi", model.dissipation, model.dissipation_expressions),
     )
-    widths = smoothing_widths(model.fit.findings)
+    widths = model.fit.smoothing_widths
     for name, terms, expressions in groups:
         for k, (term, expr) in enumerate(zip(terms, expressions, strict=True)):
             start = f"{name} = " if k == 0 else " " * len(name) + " + "

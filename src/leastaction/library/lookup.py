@@ -89,17 +89,12 @@ class ShownLibrary(Shown):
         """
         library = cast("Library", self)
         names = [*library.coordinates, *library.velocities]
+        symbols = [sympy.Symbol(name, real=True) for name in names]
         kinds: dict[str, tuple[list[int], list[int]]] = {}
         for number, term in enumerate(self._listed()[0], start=1):
-            held = [
-                row
-                for row, name in enumerate(names)
-                if sympy.Symbol(name, real=True) in term.expr.free_symbols
-            ]
-            moving = any(row >= len(library.coordinates) for row in held)
-            kind = (
-                "dissipation" if term.kind == "dissipation" else "with velocities" if moving else "potentials"
-            )
+            held = [row for row, symbol in enumerate(symbols) if symbol in term.expr.free_symbols]
+            kind = "with velocities" if max(held, default=0) >= library.n_dof else "potentials"
+            kind = "dissipation" if term.kind == "dissipation" else kind
             numbers, rows = kinds.setdefault(kind, ([], []))
             numbers += [number] * len(held)
             rows += held
@@ -145,15 +140,11 @@ class ShownLibrary(Shown):
             rows.append((term.text, term.kind, "" if length is None else f"{length:.1f}"))
         if all(length is None for length in lengths):
             rows = [row[:2] for row in rows]
-        title = (
-            f"{self._title}, {len(library.dissipation)} of dissipation"
-            if library.dissipation
-            else self._title
-        )
+        friction = f", {len(library.dissipation)} of dissipation" if library.dissipation else ""
         found = Counter(d.reason for d in library.dropped)
         notes = [f"left out: {n} {_REASONS.get(reason, reason)}" for reason, n in found.items()]
         angles = [f"angles: {', '.join(library.angles)}"] if library.angles else []
-        return Card(title, angles, rows, notes)
+        return Card(self._title + friction, angles, rows, notes)
 
 
 def place_of(wanted: Term, terms: Sequence[Term], coordinates: Sequence[str]) -> int:

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from scipy.optimize import root
 
 from leastaction.errors import InputError
-from leastaction.findings import as_given, smoothing_widths
+from leastaction.findings import as_given
 from leastaction.identifiers import names_in_terms, quoted
 from leastaction.kinds import is_list
 from leastaction.library import make_term, shape_symbol
@@ -60,7 +60,7 @@ class RestLaw:
         )
         names, n_lagrangian = names_in_terms(self.names), len(model.terms)
         v = state_symbols(self.names)[1]
-        widths = smoothing_widths(model.fit.findings)
+        widths = model.fit.smoothing_widths
         swap = {shape_symbol(s.name): sp.Symbol(f"s_{k}", real=True) for k, s in enumerate(model.shapes)}
         self._kinks: list[tuple[str, sp.Expr]] = []
         self.left_out: tuple[str, ...] = ()

@@ -340,6 +340,17 @@ class FitSummary(Shown):
         """
         return statements(self.findings) if math.isfinite(self.chi2_per_sample) else {}
 
+    @property
+    def smoothing_widths(self) -> tuple[float, ...]:
+        """The widths in which absolute values of velocities were smoothed; empty if none were.
+
+        Examples
+        --------
+        >>> FitSummary("ok").smoothing_widths
+        ()
+        """
+        return smoothing_widths(self.findings)
+
     def sentences(self, severity: Severity, audience: Audience = "python") -> tuple[str, ...]:
         """Return the findings of a severity as text, with remedies for Python, command line or app.
 
@@ -350,7 +361,7 @@ class FitSummary(Shown):
         >>> FitSummary("doubtful", warnings=["the shaft is bent"]).sentences("warning", "page")
         ('the shaft is bent',)
         """
-        widths, said = smoothing_widths(self.findings), STATED if self.statements else frozenset[str]()
+        widths, said = self.smoothing_widths, STATED if self.statements else frozenset[str]()
         found = (f for f in self.findings if f.code not in said and f.severity == severity)
         return tuple(as_given(sentence(f, audience), widths) for f in found)
 

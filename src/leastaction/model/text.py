@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, cast
 import sympy as sp
 
 from leastaction.errors import InputError, MissingPackageError
-from leastaction.findings import as_given, smoothing_widths
+from leastaction.findings import as_given
 from leastaction.identifiers import names_in_terms, quoted
 from leastaction.library import parse_expression, shape_symbol
 from leastaction.model.notation import (
@@ -156,7 +156,7 @@ class Written:
 def rows(model: LagrangianModel) -> list[tuple[str, ...]]:
     """Header and one row of text for each term."""
     out: list[tuple[str, ...]] = [_HEADER]
-    widths = smoothing_widths(model.fit.findings)
+    widths = model.fit.smoothing_widths
     for kind, term in _estimates(model):
         error = f"{term.standard_error:.2g}" if term.standard_error > 0 else "known" if term.known else ""
         z = "" if kind in ("shape", "calibration") else z_text(term.z)
@@ -188,7 +188,7 @@ def table(model: LagrangianModel) -> str:
 
 def smoothing_notes(model: LagrangianModel) -> list[str]:
     """The note on the width in which abs() of velocities is smoothed; empty if the law has no such term."""
-    widths = smoothing_widths(model.fit.findings)
+    widths = model.fit.smoothing_widths
     smooth = any(as_given(t.written, widths) != t.written for t in (*model.terms, *model.dissipation))
     return [str(f) for f in model.fit.findings if smooth and f.code == "friction-smoothed"]
 
@@ -202,7 +202,7 @@ def summary(model: LagrangianModel) -> str:
 def formula(model: LagrangianModel, digits: int | None, uncertainty: bool) -> str:
     """L, and psi if there is one, as plain text."""
     _check_digits(digits)
-    how = digits, uncertainty, smoothing_widths(model.fit.findings)
+    how = digits, uncertainty, model.fit.smoothing_widths
     lines = [f"L = {plain_sum(model.terms, model.expressions, *how)}"]
     if model.dissipation:
         friction = plain_sum(model.dissipation, model.dissipation_expressions, *how)
@@ -242,7 +242,7 @@ def latex(model: LagrangianModel, digits: int | None, uncertainty: bool) -> str:
 
 def _written(model: LagrangianModel, term: ModelTerm, expr: sp.Expr) -> sp.Expr:
     """The expression of a term as it was given: shape parameters as symbols, absolute values not smoothed."""
-    text = as_given(term.written, smoothing_widths(model.fit.findings))
+    text = as_given(term.written, model.fit.smoothing_widths)
     if text == term.expression:
         return expr
     return parse_expression(text, names_in_terms(model.coordinates), shapes=True)
@@ -315,7 +315,7 @@ def symmetry_lines(model: LagrangianModel) -> list[str]:
     'cyclic coordinate x, in form: momentum x_dot, conserved if no force acts along it'
     """
     lines: list[str] = []
-    widths = smoothing_widths(model.fit.findings)
+    widths = model.fit.smoothing_widths
     for symmetry in model.symmetries:
         name = " ".join(filter(None, (CONSERVED.get(symmetry.kind), shown_quantity(symmetry))))
         what = ", ".join(filter(None, (name, outcome(symmetry))))
@@ -356,7 +356,7 @@ def simple_lines(model: LagrangianModel) -> list[str]:
     ['simple number: x_dot**2 = 0.50030(40): 1/2']
     """
     found = model.simple_constants
-    widths = smoothing_widths(model.fit.findings)
+    widths = model.fit.smoothing_widths
     lines = [as_given(f"simple number: {offer}", widths) for offer in found.offers]
     return [*lines, f"simple numbers together: {agreement(found)}"] if len(lines) > 1 else lines
 
@@ -382,7 +382,7 @@ def frame(model: LagrangianModel, use: str = "table()") -> pd.DataFrame:
         instead = "use format_table(), or terms and dissipation"
         raise MissingPackageError(use, "pandas", "pandas", instead) from None
 
-    names, widths = ("standard_error", "lower", "upper"), smoothing_widths(model.fit.findings)
+    names, widths = ("standard_error", "lower", "upper"), model.fit.smoothing_widths
     found = [
         (
             *(as_given(t.written, widths), kind, t.coefficient),

@@ -15,7 +15,6 @@ from leastaction.findings import (
     Finding,
     alike,
     as_given,
-    smoothing_widths,
     stated_error,
     with_held_out,
     worst_share,
@@ -132,7 +131,7 @@ def terms_in(model: LagrangianModel, findings: Iterable[Finding]) -> set[str]:
     texts = {t.written for t in (*model.terms, *model.dissipation)}
     texts |= {text for point in path for text in point.written}
     texts |= {text for finding in findings for text in finding.subject if re.search(r"[*(]", text)}
-    widths = smoothing_widths(model.fit.findings)
+    widths = model.fit.smoothing_widths
     return texts | {as_given(text, widths) for text in texts}
 
 
