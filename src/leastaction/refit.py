@@ -18,12 +18,14 @@ import numpy as np
 
 from leastaction.assembly import assemble_model
 from leastaction.curve.knots import Knots, excerpt, lay_knots
+from leastaction.data.coerce import arranged
 from leastaction.diagnosis.verdict import verify
 from leastaction.errors import DataError, InputError
 from leastaction.estimation.build import ENOUGH_SAMPLES, Setup, states_along
 from leastaction.estimation.fit import Fit
 from leastaction.estimation.force_bias import no_bias
 from leastaction.estimation.grid import Grid
+from leastaction.estimation.hidden import knots_of_all
 from leastaction.estimation.problem import Problem
 from leastaction.estimation.profile import profiled
 from leastaction.estimation.shape_ranges import ShapeRange, shape_ranges
@@ -225,11 +227,13 @@ def _setup(model: LagrangianModel, before: Diagnostics, point: PathPoint) -> Set
     candidates = EulerLagrange((*library.terms, *library.dissipation), model.coordinates, places)
     known = np.array([t.coefficient if t.known else np.nan for group in terms.values() for t in group])
     data, degree = before.trajectories, before.grid.spaces[0].degree
-    searched = excerpt(data, ENOUGH_SAMPLES)
-    scales = lay_knots(searched, degree)
+    hidden = tuple(k for k, name in enumerate(model.coordinates) if name in before.hidden_motion)
+    searched = data if hidden else excerpt(data, ENOUGH_SAMPLES)
+    measured = [name for name in model.coordinates if name not in before.hidden_motion]
+    scales = knots_of_all(lay_knots(arranged(searched, measured), degree), hidden)
     ranges = _ranges(model, candidates.terms, scales)
     angles = tuple(angles_in(model.coordinates, model.provenance))
-    problem = Problem(data, candidates, known, degree, ranges=ranges, angles=angles)
+    problem = Problem(data, candidates, known, degree, ranges=ranges, hidden=hidden, angles=angles)
     return Setup(problem, problem.on(searched), library, scales, before.prepared)
 
 
@@ -259,7 +263,8 @@ def _fit(
     coefficients = np.array([numbers.get((term.kind, term.text), 0.0) for term in problem.terms])
     grid = Grid.lay(problem, float(model.provenance["knots_per_second"]))
     structure = Structure(problem.free)
-    start = grid.start(structure, before.control_points, coefficients, before.noise_std)
+    noise = np.where(np.isin(np.arange(model.n_dof), problem.hidden), 1.0, before.noise_std)
+    start = grid.start(structure, before.control_points, coefficients, noise)
     # the curve obeys its equations better than the data prove: weights come down to those of the chosen fit
     weights = replace(start.weights, physics=np.fmin(start.weights.physics, before.physics_weight))
     start = replace(start, weights=weights)

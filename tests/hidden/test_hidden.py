@@ -28,6 +28,7 @@ from leastaction.hidden.gauge import canonical, open_changes, reflections, simpl
 from leastaction.hidden.shooting import Shooter, law_of
 from leastaction.hidden.start import completed
 from leastaction.hidden.windows import cut_windows
+from leastaction.refit import refit
 
 PENDULUM = systems.get("chaotic_pendulum")
 ROOT = Path(__file__).parents[2]
@@ -497,6 +498,19 @@ def test_what_known_terms_leave_open_is_named(known, terms, expected) -> None:
     assert found == ({} if expected is None else {"y": expected})
 
 
+def again_is_the_same(model: la.LagrangianModel) -> None:
+    """The chosen structure of the trade-off curve is fitted from the curve to the same law and motion."""
+    again = refit(model, next(point for point in model.diagnostics.path if point.chosen))
+    assert again.fit.status == model.fit.status
+    for term, other in zip(again.terms, model.terms, strict=True):
+        assert term.known or abs(term.coefficient - other.coefficient) < 0.2 * other.standard_error
+    assert again.diagnostics.hidden_motion.keys() == model.diagnostics.hidden_motion.keys()
+    for name, motions in model.diagnostics.hidden_motion.items():
+        for motion, other in zip(again.diagnostics.hidden_motion[name], motions, strict=True):
+            assert np.all(np.abs(motion.q - other.q) < 0.5 * other.standard_error)
+            np.testing.assert_allclose(motion.standard_error, other.standard_error, rtol=0.1)
+
+
 # ---------------------------------------------------------------- all of it
 @pytest.mark.thorough
 @pytest.mark.parametrize("hidden", [0, 1])
@@ -521,6 +535,7 @@ def test_a_pendulum_without_one_encoder_is_found(hidden) -> None:
     codes = {finding.code for finding in model.fit.findings}
     assert "hidden-coordinate" in codes
     assert "hidden-gauge" not in codes
+    again_is_the_same(model)
 
 
 @pytest.mark.thorough
