@@ -17,6 +17,9 @@ import pytest
 
 import leastaction as la
 import page_helpers
+from leastaction.app.candidates import Choice
+from leastaction.app.columns import ANGLE
+from leastaction.app.files import Saved, saved
 
 pytestmark = [pytest.mark.browser, pytest.mark.thorough]
 
@@ -170,6 +173,49 @@ def test_from_a_file_to_the_downloads(open_tab, tmp_path):
     )
     tab.see("run2.csv and 1 more")
     tab.see("6 trials, 30 s")
+
+
+def test_what_no_sensor_saw_moves_along_dashed(open_tab, tmp_path):
+    """A double pendulum with one encoder; a saved session has the forecast of the other link only."""
+    system = la.systems.get("chaotic_pendulum")
+    data = la.systems.generate(system, noise=0.002, trials=3, duration=6.0, rate=50.0, seed=3)
+    rows = [f"{run.name},{t},{q}" for run in data for t, q in zip(run.t, run.q[:, 0], strict=True)]
+    choice = Choice(
+        written=True,
+        text="\n".join(system.lagrangian),
+        known="\n".join(f"{text} = {value}" for text, value in system.known.items()),
+        hidden="theta2",
+        hidden_angles=True,
+        held_out=1,
+    )
+    tables = {"encoder.csv": "\n".join(["trial,t,theta1", *rows]).encode()}
+    tab = open_tab()
+    page = tab.page
+    content = saved(Saved("encoder.csv", tables, {"theta1": ANGLE}, choice))
+    give(tab, tmp_path / "encoder.leastaction", content)
+    tab.click("Continue to the candidates")
+    tab.click("Find the Lagrangian")
+    tab.see("estimated, no sensor", 240.0)
+    link = page.locator(".stick .measured .limbs.estimated")
+    link.wait_for()
+    before = link.get_attribute("d")
+    page.wait_for_function(
+        "d => document.querySelector('.limbs.estimated').getAttribute('d') !== d", arg=before
+    )
+    assert page.locator(".stick .measured .limbs").count() == 2
+    assert page.locator(".stick .measured circle.estimated").count() == 1
+    assert page.locator(".stick .forecast .estimated").count() == 0
+    assert "estimated without a sensor dashed" in page.locator(".stick svg").get_attribute("aria-label")
+    assert page.locator(".figures desc", has_text="the estimated motion with its 95 % band").count()
+    with page.expect_download() as session:
+        tab.click("Save session")
+    page.locator(".step").first.click()
+    give(tab, tmp_path / "again.leastaction", Path(session.value.path()).read_bytes())
+    tab.see("a session does not store its estimated motion")
+    page.locator(".stick .measured .limbs").wait_for()
+    assert page.locator(".stick .measured circle").count() == 1
+    assert page.locator(".stick .forecast circle").count() == 2
+    assert page.locator(".estimated").count() == 0
 
 
 def test_a_bad_file_is_one_line_and_the_page_goes_on(open_tab, tmp_path):

@@ -29,11 +29,13 @@ from leastaction.app import page as _page
 from leastaction.app import server as _server
 from leastaction.app.columns import ANGLE, MILLISECONDS
 from leastaction.app.data_view import labels
-from leastaction.app.jobs import Found
+from leastaction.app.jobs import Found, Motion
 from leastaction.app.parts import Stick
 from leastaction.app.remedies import proposed, take
 from leastaction.app.result_view import compared
 from leastaction.app.worker import Job
+from leastaction.data.coerce import arranged
+from leastaction.model.diagnostics import HiddenMotion
 from leastaction.model.mathml import Notation
 from leastaction.model.term import ModelTerm
 
@@ -297,6 +299,48 @@ def test_the_verdict_states_the_forecast_of_held_out_trials():
             await asyncio.sleep(0.1)
             user.find(marker="step-result").click()
             await user.should_see(expected)
+
+    simulate(script)
+
+
+def test_the_page_marks_what_no_sensor_saw_as_estimated():
+    one = page_helpers.spring().diagnostics
+    t = one.trajectories[0].t
+    q = np.column_stack([np.sin(t), np.cos(t)])
+    measured = np.column_stack([q[:, 0], np.full(t.size, np.nan)])
+    guess = {1: HiddenMotion(t, q[:, 1], np.full(t.size, 0.01))}
+    motion = Motion("0", False, t, measured, q, 6.0, unseen=(1,), estimated=guess)
+    terms = [ModelTerm("x_dot**2", 0.5), ModelTerm("h_dot**2", 0.5), ModelTerm("(x-h)**2", -1.0)]
+    diagnostics = replace(
+        one,
+        trajectories=arranged(one.trajectories, ["x", "h"]),
+        control_points=np.tile(one.control_points, 2),
+        hidden_motion={"h": (guess[1],)},
+    )
+    model = LagrangianModel(["x", "h"], terms, noise_std=[0.01, 0.01], diagnostics=diagnostics)
+
+    async def script(user) -> None:
+        session = await open_candidates(user, "single")
+
+        async def show(found: Found) -> dict:
+            session.found = {0: found}
+            user.find(marker="step-candidates").click()
+            await asyncio.sleep(0.1)
+            user.find(marker="step-result").click()
+            await user.should_see("Simulated for 6 s")
+            (stick,) = user.find(Stick).elements
+            return stick._props["frames"]
+
+        shown = await show(Found(model, "forecast", motion=motion))
+        assert shown["estimated"] == [False, True]
+        assert None not in shown["measured"][0]
+        await user.should_see("estimated, no sensor")
+        await user.should_see("h: not measured, but estimated from the equations (95 % band: at most ± 0.02)")
+        bare = replace(model, diagnostics=None)
+        shown = await show(Found(bare, "forecast", motion=replace(motion, estimated={})))
+        assert shown["measured"][0][1] is None
+        await user.should_see("Only its forecast is drawn, because a session does not store")
+        await user.should_not_see("estimated, no sensor")
 
     simulate(script)
 

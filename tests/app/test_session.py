@@ -41,16 +41,18 @@ from leastaction.app.columns import (
     UNUSED,
     VELOCITY,
 )
+from leastaction.app.figures import forecast_figure, unseen_words
 from leastaction.app.jobs import Found, Motion, Walk
 from leastaction.app.motion import frames, hanging_angles, link_lengths, stick_kind, stick_words
 from leastaction.app.remedies import proposed
 from leastaction.app.session import Session
 from leastaction.app.worker import Worker, in_words
+from leastaction.data.coerce import arranged
 from leastaction.exporters import FORMATS
 from leastaction.findings import CODES, Finding
 from leastaction.library import format_expression
 from leastaction.mechanics.equations import state_symbols
-from leastaction.model.diagnostics import PathPoint
+from leastaction.model.diagnostics import HiddenMotion, PathPoint
 from leastaction.model.term import ModelTerm
 from page_helpers import spring, upload
 
@@ -647,6 +649,98 @@ def test_a_swinging_spring_hangs_where_its_potential_is_lowest(down, radius):
     lean, reach = 0.5 * np.cos(2 * t), _motion._REACH / q[:, 0].max() * q[:, 0]
     place = np.column_stack([reach * np.sin(lean), -reach * np.cos(lean)])
     np.testing.assert_allclose(shown["measured"], place, atol=1e-3)
+
+
+RELATIVE = chain((0.3, 0.5), (0.5, 0.2), relative=True)
+ABSOLUTE = chain((0.3, 0.5), (0.5, 0.2))
+CART = chain((0.3,), (0.5,), cart=2.0)
+
+
+@pytest.mark.parametrize(
+    ("kind", "model", "unseen", "estimated"),
+    [
+        ("links", ABSOLUTE, 1, [False, True]),
+        ("links", ABSOLUTE, 0, [True, False]),
+        ("links", RELATIVE, 0, [True, True]),  # the direction of the second link follows from both
+        ("cart", CART, 0, [True, False]),
+        ("cart", CART, 1, [False, True]),
+        ("blocks", law("u_dot**2", "v_dot**2"), 1, [False, True]),
+        ("plane", law("x_dot**2", "y_dot**2"), 1, [False, True]),
+        ("polar", law("r_dot**2", "r**2*phi_dot**2"), 1, [True, True]),
+    ],
+)
+def test_what_no_sensor_saw_is_drawn_from_its_estimate(kind, model, unseen, estimated):
+    t = np.linspace(0.0, 2.0, 101)
+    q = np.column_stack([1.0 + 0.2 * np.sin(3 * t), 0.3 * np.cos(2 * t)])
+    measured = q.copy()
+    measured[:, unseen] = np.nan
+    guess = HiddenMotion(t, q[:, unseen], np.full(t.size, 0.01))
+    alone = Motion("one", False, t, measured, q, 1.0, unseen=(unseen,))
+    known = replace(alone, estimated={unseen: guess})
+    shown, whole = (
+        frames(motion, model, kind=kind) for motion in (known, replace(known, measured=q, estimated={}))
+    )
+    assert shown["estimated"] == estimated
+    assert shown["measured"] == whole["measured"] == whole["forecast"]
+    assert whole["estimated"] == [False, False]
+    # Without an estimate, there is only what follows from the samples.
+    left = frames(alone, model, kind=kind)
+    assert left["estimated"] == [False, False]
+    assert left["forecast"] == whole["forecast"]
+    for row, full in zip(left["measured"], whole["measured"], strict=True):
+        kept = [None if flag else x for flag, x in zip(estimated, full, strict=True)]
+        assert row == (None if all(estimated) else kept)
+
+
+def test_the_chart_of_what_no_sensor_saw_has_the_estimate_with_its_band():
+    t = np.linspace(0.0, 2.0, 101)
+    q = np.column_stack([np.sin(t), np.cos(t)])
+    measured = np.column_stack([q[:, 0], np.full(t.size, np.nan)])
+    guess = HiddenMotion(t, q[:, 1], 0.01 + 0.02 * t)
+    assert guess.reach[-1] == pytest.approx(1.96 * 0.05)
+    motion = Motion("one", False, t, measured, q, 1.0, unseen=(1,), estimated={1: guess})
+    first, second = (forecast_figure(motion, i, "ab"[i], "rad") for i in (0, 1))
+    only = forecast_figure(replace(motion, estimated={}), 1, "b", "rad")
+    assert "estimated" not in first
+    assert "the estimated motion with its 95 % band, the forecast as a line" in second
+    assert ("var(--fit)" in first, "var(--fit)" in second, "var(--fit)" in only) == (False, True, False)
+    assert "var(--forecast)" in only
+    assert "measured" not in only
+    words = unseen_words(motion, ["a", "b"], searched=True)
+    assert words.startswith("b: not measured, but estimated from the equations (95 % band: at most ± 0.098)")
+    words = unseen_words(replace(motion, estimated={}), ["a", "b"], searched=False)
+    assert words.startswith("b: not measured. Only its forecast is drawn, because a session")
+    assert unseen_words(replace(motion, unseen=()), ["a", "b"], searched=True) == ""
+
+
+def test_the_forecast_of_what_no_sensor_saw_goes_with_its_estimate():
+    """On a trial of the fit, whose turns it takes; without an estimate, on the trial that was held out."""
+    system = la.systems.get("chaotic_pendulum")
+    truth = la.systems.generate(system, noise=0.0, trials=2, duration=3.0, rate=50.0, seed=3)
+    terms = [ModelTerm(text, value) for text, value in system.lagrangian.items()]
+    guess = HiddenMotion(truth[0].t, truth[0].q[:, 1] + 6 * np.pi, np.full(truth[0].n_times, 0.01))
+    model = la.LagrangianModel(
+        system.coordinates,
+        terms,
+        provenance={"options": {"angles": list(system.angles)}},
+        diagnostics=replace(spring().diagnostics, hidden_motion={"theta2": (guess,)}),
+    )
+    seen = arranged(truth, ["theta1"])
+    library = la.Library(list(system.lagrangian), system.coordinates, angles=system.angles)
+    task = _candidates.Task(seen.select(0), seen.select(1), library, {}, hidden=("theta2",))
+    first, bare = (
+        _jobs.forecast(lambda *_: None, task, known).motion
+        for known in (model, replace(model, diagnostics=None))
+    )
+    for motion, run, held_out in ((first, truth[0], False), (bare, truth[1], True)):
+        assert (motion.held_out, motion.unseen) == (held_out, (1,))
+        assert np.isnan(motion.measured[:, 1]).all()
+        away = motion.forecast - np.column_stack([np.interp(motion.t, run.t, q) for q in run.q.T])
+        turns = 2 * np.pi * np.round(away[0] / (2 * np.pi))
+        np.testing.assert_allclose(away, np.broadcast_to(turns, away.shape), atol=0.02)
+    np.testing.assert_allclose(first.forecast[:, 1], first.estimated[1].q, atol=0.02)
+    assert abs(bare.forecast[0, 1]) <= np.pi
+    assert (first.trial, bare.trial, bare.estimated) == (*truth.names, {})
 
 
 def test_what_one_click_may_do():

@@ -151,6 +151,14 @@ def test_trials_without_a_coordinate_are_forecast(name: str, gone: str) -> None:
     assert result.coordinates == tuple(system.coordinates[i] for i in kept)
     assert np.all(result.rms < 1.3 * result.expected_rms)
     assert np.all(result.coverage > 0.88)
+    # The simulated motion has every coordinate; the angle without a column is known up to whole turns.
+    (hidden,) = {0, 1} - {*kept}
+    for trace in result.traces:
+        assert np.array_equal(trace.motion[:, kept], trace.forecast)
+        off = trace.motion[:, hidden] - np.interp(trace.t, run.t, run.q[:, hidden])
+        off -= 2 * np.pi * np.round(off[0] / (2 * np.pi)) if gone in system.angles else 0.0
+        assert np.sqrt(np.mean(off**2)) < 0.1 * run.q[:, hidden].std()
+    assert all(trace.motion is None for trace in model.validate(run).traces)
 
 
 def test_all_coordinates_hidden_is_refused() -> None:

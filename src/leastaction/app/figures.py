@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from itertools import count
 from typing import TYPE_CHECKING
 
 from markupsafe import Markup
 
 from leastaction.report.axes import Axes, thin_line
+from leastaction.report.captions import estimate_title
 from leastaction.report.figures_model import draw_forecast, draw_path, path_axes
 
 if TYPE_CHECKING:
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
     from leastaction.app.jobs import Motion, Walk
     from leastaction.curve.motion import SmoothMotion
 
-__all__ = ["data_figure", "forecast_figure", "walk_figure"]
+__all__ = ["data_figure", "forecast_figure", "unseen_words", "walk_figure"]
 
 _numbers = count()
 
@@ -52,16 +53,33 @@ def data_figure(run: Trajectory, smooth: SmoothMotion | None, i: int, name: str,
 
 
 def forecast_figure(motion: Motion, i: int, name: str, unit: str) -> Markup:
-    """Measured samples of a coordinate and the free run of the model."""
+    """Measured samples of a coordinate, or its estimated motion, and the free run of the model."""
+    estimate = motion.estimated.get(i)
 
     def draw(size: tuple[float, float]) -> Axes:
         axes = Axes(size)
-        draw_forecast(axes, motion.t, motion.measured[:, i], motion.forecast[:, i])
+        draw_forecast(axes, motion.t, motion.measured[:, i], motion.forecast[:, i], estimate)
         axes.label("t", name, "s", unit)
         return axes
 
-    alt = "measured samples, the forecast as a line"
+    alt = "the forecast as a line"
+    if i not in motion.unseen:
+        alt = f"measured samples, {alt}"
+    elif estimate is not None:
+        alt = f"the estimated motion with its 95 % band, {alt}"
     return _both(draw, (560, 210), (350, 200), f"forecast of {name}", alt)
+
+
+def unseen_words(motion: Motion, names: Sequence[str], searched: bool) -> str:
+    """What is shown of coordinates without a sensor; names of all, and whether a search has just ended."""
+    parts: list[str] = []
+    for i in motion.unseen:
+        if i in motion.estimated:
+            parts.append(f"{estimate_title(motion.estimated[i], names[i])}, in trials of the fit only.")
+        else:
+            why = "" if searched else ", because a session does not store its estimated motion"
+            parts.append(f"{names[i]}: not measured. Only its forecast is drawn{why}.")
+    return " ".join(parts)
 
 
 def walk_figure(walk: Walk, place: int) -> Markup:

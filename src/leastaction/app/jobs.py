@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -15,7 +15,7 @@ from leastaction.findings import because
 
 if TYPE_CHECKING:
     from leastaction import LagrangianModel, Trajectories
-    from leastaction.model.diagnostics import PathPoint
+    from leastaction.model.diagnostics import HiddenMotion, PathPoint
     from leastaction.simulation.forecast import ForecastResult
 
 __all__ = ["Found", "Motion", "Walk", "derive", "filled", "forecast", "longest", "refine", "search"]
@@ -40,6 +40,10 @@ class Motion:
         Seconds until the error of the forecast exceeds the tolerance.
     note : str
         Reason why the forecast ends early; empty if it does not.
+    unseen : tuple of int
+        Indices of the coordinates that have no sensor in the trial.
+    estimated : dict of int to HiddenMotion
+        Those of them whose motion the fit has estimated -> that motion at the times `t`.
     """
 
     trial: str
@@ -49,6 +53,16 @@ class Motion:
     forecast: np.ndarray
     valid_time: float
     note: str = ""
+    unseen: tuple[int, ...] = ()
+    estimated: dict[int, HiddenMotion] = field(default_factory=dict)
+
+    @property
+    def observed(self) -> np.ndarray:
+        """Measured motion without gaps, (n_times, n_dof), completed by what is estimated; otherwise NaN."""
+        out = filled(self.measured)
+        for i, motion in self.estimated.items():
+            out[:, i] = motion.q
+        return out
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,23 +207,42 @@ def filled(q: np.ndarray) -> np.ndarray:
 
 
 def _motion(model: LagrangianModel, task: Task) -> Motion:
-    data: Trajectories = task.fitted if task.held_out is None else task.held_out
+    hidden = model.diagnostics.hidden_motion if model.diagnostics else {}
+    # Only in trials of the fit is the motion of a coordinate without a sensor estimated.
+    held_out = None if hidden else task.held_out
+    data: Trajectories = task.fitted if held_out is None else held_out
     place = longest(data)
     run = data.select(place)
     result = model.validate(run, horizon=min(_SHARE * run.duration, _LONGEST))
-    if result.coordinates != model.coordinates:
-        raise InputError("a motion of which some coordinates have no column is not drawn")
-    trace = result.traces[0]
+    trace, names = result.traces[0], model.coordinates
     keep = slice(None, None, -(-trace.t.size // _FRAMES))
+    t, forecast = trace.t[keep], (trace.forecast if trace.motion is None else trace.motion)[keep].copy()
+    measured = np.full_like(forecast, np.nan)
+    for column, name in enumerate(result.coordinates):
+        if name in names:
+            measured[:, names.index(name)] = trace.measured[keep, column]
+    estimated = {names.index(name): _at(t, motions[place]) for name, motions in hidden.items()}
+    unseen = tuple(i for i, name in enumerate(names) if name not in result.coordinates)
+    for i in unseen:
+        if names[i] in model.angles:  # whole turns are not known
+            start = estimated[i].q[0] if i in estimated else 0.0
+            forecast[:, i] -= 2 * np.pi * np.round((forecast[0, i] - start) / (2 * np.pi))
     return Motion(
         data.names[place],
-        task.held_out is not None,
-        trace.t[keep],
-        trace.measured[keep],
-        trace.forecast[keep],
+        held_out is not None,
+        t,
+        measured,
+        forecast,
         trace.valid_time,
         trace.reason,
+        unseen,
+        estimated,
     )
+
+
+def _at(t: np.ndarray, motion: HiddenMotion) -> HiddenMotion:
+    q, error = (np.interp(t, motion.t, values) for values in (motion.q, motion.standard_error))
+    return motion._replace(t=t, q=q, standard_error=error)
 
 
 def _plain(details: dict) -> dict:

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 import sympy as sp
 
-from leastaction.app.jobs import filled
 from leastaction.mechanics.equations import state_symbols
 
 if TYPE_CHECKING:
@@ -262,15 +261,20 @@ def frames(motion: Motion, model: LagrangianModel, most: int = 900, kind: Kind =
 
     Links are given by their lengths in pixels and their directions from down, anticlockwise; sliding bodies
     in pixels to the right, and points also upwards. A missing sample repeats the previous one; after the
-    end of the forecast there is null. ``known`` holds the fields of `Lengths`, or null.
+    end of the forecast there is null, and in ``measured`` for what is neither measured nor estimated.
+    ``estimated`` marks the entries of ``measured`` that follow from estimates. ``known`` holds the fields of
+    `Lengths`, or null.
     """
     step = -(-motion.t.size // most)
-    t, measured = motion.t[::step], filled(motion.measured)
-    places, shown = _polar_places(model, measured) if kind == "polar" else _places(model, measured, kind)
+    t, measured, gap = motion.t[::step], motion.observed, np.zeros((1, model.n_dof))
+    basis = np.where(np.isfinite(measured), measured, motion.forecast)
+    places, shown = _polar_places(model, basis) if kind == "polar" else _places(model, basis, kind)
+    gap[:, list(motion.estimated)] = np.nan
     return {
         "kind": kind,
         "t": [round(float(x - t[0]), 5) for x in t],
-        "measured": _rows(places(measured[::step])),
+        "measured": _rows(places(measured[::step]), parts=True),
+        "estimated": np.isnan(places(gap)[0]).tolist(),
         "forecast": _rows(places(motion.forecast[::step])),
         **shown,
     }
@@ -386,5 +390,8 @@ def _words_of_lengths(lengths: Lengths) -> str:
     return f"{text}." if lengths.last_given else f"{text}. {_LAST}"
 
 
-def _rows(q: np.ndarray) -> list[list[float] | None]:
-    return [[round(float(x), 4) for x in row] if np.isfinite(row).all() else None for row in q]
+def _rows(q: np.ndarray, parts: bool = False) -> list[list[float | None] | None]:
+    """Rows that are complete, or with `parts` also those with a gap; null for others, and for a gap."""
+    rows = [[round(x, 4) if math.isfinite(x) else None for x in row] for row in q.tolist()]
+    lacking = all if parts else any
+    return [None if lacking(x is None for x in row) else row for row in rows]

@@ -10,7 +10,7 @@ from nicegui import html, ui
 
 from leastaction.app.columns import written_names
 from leastaction.app.data_view import labels
-from leastaction.app.figures import forecast_figure
+from leastaction.app.figures import forecast_figure, unseen_words
 from leastaction.app.files import exported
 from leastaction.app.motion import frames, stick_kind, stick_words
 from leastaction.app.parts import (
@@ -206,7 +206,12 @@ class ResultView:
             )
             with html.p().classes("keys"):
                 say("measured", "key dots", "span")
+                if motion.estimated:
+                    say("estimated, no sensor", "key dash estimate", "span")
                 say("forecast", "key line forecast", "span")
+            if motion.unseen:
+                names = [notation.text(name) for name in model.coordinates]
+                say(unseen_words(motion, names, model.diagnostics is not None), "help")
             kind = stick_kind(model, self._angles)
             with html.div().classes("halves" if kind else "stack"):
                 with html.div():

@@ -1,6 +1,6 @@
-// Links, a cart with links, a point about an origin or in a plane, or blocks on a rail: measured behind, forecast in
-// front; or a robot arm, measured, from one side or two. Colours come from the style sheet; motion.py and arm.py say
-// what is drawn.
+// Links, a cart with links, a point about an origin or in a plane, or blocks on a rail: measured behind, estimated
+// dashed where there is no sensor, forecast in front; or a robot arm, measured, from one side or two. Colours come
+// from the style sheet; motion.py and arm.py say what is drawn.
 export default {
   template: `
     <figure>
@@ -12,8 +12,9 @@ export default {
             <template v-for="side in ['measured', 'forecast']">
               <g :class="side" v-if="shape(side, view)">
                 <path v-if="shape(side, view).line" class="limbs" :d="shape(side, view).line" />
-                <rect v-for="p in shape(side, view).carts" :x="p[0] - 13" :y="p[1] - 8" width="26" height="16" rx="3" />
-                <circle v-for="p in shape(side, view).joints" :cx="p[0]" :cy="p[1]" r="4.5" />
+                <path v-if="shape(side, view).guess" class="limbs estimated" :d="shape(side, view).guess" />
+                <rect v-for="p in shape(side, view).carts" :class="p[2]" :x="p[0] - 13" :y="p[1] - 8" width="26" height="16" rx="3" />
+                <circle v-for="p in shape(side, view).joints" :class="p[2]" :cx="p[0]" :cy="p[1]" r="4.5" />
               </g>
             </template>
             <circle v-if="pivoted" class="pivot" cx="0" cy="0" r="3" />
@@ -38,7 +39,7 @@ export default {
       let [left, right, top, bottom] = [-30, 30, -12, 12];
       for (const rows of [this.frames.measured, this.frames.forecast]) {
         for (const row of rows) {
-          for (const [x, y] of row ? this.views.flatMap((_, view) => this.points(row, view)) : []) {
+          for (const [x, y] of this.views.flatMap((_, view) => this.points(row, view) ?? [])) {
             left = Math.min(left, x);
             right = Math.max(right, x);
             top = Math.min(top, y);
@@ -72,45 +73,54 @@ export default {
     words(view) {
       if (this.arm) return `Robot arm as measured, ${view}`;
       const names = { links: "Links", cart: "Cart with links", plane: "Point in the plane", blocks: "Blocks" };
-      return `${names[this.frames.kind] ?? "Point about an origin"}: measured in grey, forecast in colour`;
+      const guess = this.frames.estimated.includes(true) ? ", estimated without a sensor dashed" : "";
+      return `${names[this.frames.kind] ?? "Point about an origin"}: measured in grey${guess}, forecast in colour`;
     },
     trail(view) {
       // The last second of the end of the forecast, or of the arm.
       const [rows, parts] = [this.arm ? this.frames.measured : this.frames.forecast, []];
       for (let k = this.frame; k >= 0 && this.frames.t[this.frame] - this.frames.t[k] < 1; k--) {
         const p = this.points(rows[k], view);
-        if (p) parts.push(p[p.length - 1].map((x) => x.toFixed(1)).join(" "));
+        if (p) parts.push(p[p.length - 1].slice(0, 2).map((x) => x.toFixed(1)).join(" "));
       }
       return parts.length > 1 ? "M" + parts.join("L") : "";
     },
     points(row, view) {
+      // Places, each with the entry of the row that it shows; a part whose entry is null is not known.
       if (!row) return null;
       const kind = this.frames.kind;
       if (this.arm) return Array.from({ length: row[view].length / 2 }, (_, k) => [row[view][2 * k], -row[view][2 * k + 1]]);
-      if (kind === "plane" || kind === "polar") return [[row[0], -row[1]]];
-      if (kind === "blocks") return row.map((x, k) => [x + 260 * (k - (row.length - 1) / 2), 0]);
-      const angles = kind === "cart" ? row.slice(1) : row;
-      const points = [[kind === "cart" ? row[0] : 0, 0]];
-      angles.forEach((a, k) => {
-        const [x, y] = points[k];
-        points.push([x + this.frames.lengths[k] * Math.sin(a), y + this.frames.lengths[k] * Math.cos(a)]);
-      });
+      if (kind === "plane" || kind === "polar")
+        return row.includes(null) ? null : [[row[0], -row[1], this.frames.estimated.indexOf(true)]];
+      if (kind === "blocks")
+        return row.flatMap((x, k) => (x === null ? [] : [[x + 260 * (k - (row.length - 1) / 2), 0, k]]));
+      const first = kind === "cart" ? 1 : 0;
+      if (first && row[0] === null) return null;
+      const points = [[first ? row[0] : 0, 0, 0]];
+      for (let k = 0; k + first < row.length && row[k + first] !== null; k++) {
+        const [[x, y], length, a] = [points[k], this.frames.lengths[k], row[k + first]];
+        points.push([x + length * Math.sin(a), y + length * Math.cos(a), k + first]);
+      }
       return points;
     },
     shape(side, view) {
-      const points = this.points(this.frames[side][this.frame], view);
+      let points = this.points(this.frames[side][this.frame], view);
       if (!points) return null;
       const kind = this.frames.kind;
-      if (this.arm) {
-        const line = this.frames.limbs.map(([a, b]) => `M${points[a].join(" ")}L${points[b].join(" ")}`).join("");
-        return { line, carts: [], joints: points.slice(1) };
-      }
-      if (kind === "plane") return { line: "", carts: [], joints: points };
+      const marks = side === "measured" ? (this.frames.estimated ?? []) : [];
+      points = points.map(([x, y, entry]) => [x, y, marks[entry] ? "estimated" : ""]);
+      let [limbs, carts, joints] = [[], [], points];
+      if (this.arm) [limbs, joints] = [this.frames.limbs.map(([a, b]) => [points[a], points[b]]), points.slice(1)];
       // What hangs is held from the origin.
-      if (kind === "polar") return { line: this.frames.down ? `M0 0L${points[0].join(" ")}` : "", carts: [], joints: points };
-      if (kind === "blocks") return { line: "", carts: points, joints: [] };
-      const line = "M" + points.map((p) => p.join(" ")).join("L");
-      return { line, carts: kind === "cart" ? [points[0]] : [], joints: points.slice(1) };
+      else if (kind === "polar") limbs = this.frames.down ? [[[0, 0], points[0]]] : [];
+      else if (kind === "blocks") [carts, joints] = [points, []];
+      else if (kind !== "plane") {
+        limbs = points.slice(1).map((p, k) => [points[k], p]);
+        [carts, joints] = [kind === "cart" ? [points[0]] : [], points.slice(1)];
+      }
+      const line = (mark) =>
+        limbs.map(([a, b]) => (b[2] === mark ? `M${a[0]} ${a[1]}L${b[0]} ${b[1]}` : "")).join("");
+      return { line: line(""), guess: line("estimated"), carts, joints };
     },
     toggle() {
       if (this.playing) return this.stop();

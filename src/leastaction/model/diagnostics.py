@@ -26,6 +26,7 @@ __all__ = ["Diagnostics", "HiddenMotion", "PathPoint", "TradeOff", "pareto"]
 _NOT_BORNE_OUT = ("no-fit", "fit-is-worse")
 _MEASURED = {"color": "0.55", "marker": ".", "markersize": 3, "linestyle": "none"}
 _STRUCTURES = {"marker": "o", "linestyle": "none"}
+_Z95 = 1.96  # standard errors: half of a 95 % interval
 _CHOSEN = {"marker": "D", "markersize": 9, "markerfacecolor": "none", "linestyle": "none"}
 
 
@@ -223,6 +224,11 @@ class HiddenMotion(NamedTuple):
     t: np.ndarray
     q: np.ndarray
     standard_error: np.ndarray
+
+    @property
+    def reach(self) -> np.ndarray:
+        """Half of the 95 % band, 1.96 standard errors."""
+        return _Z95 * self.standard_error
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -11,7 +11,7 @@ import numpy as np
 from markupsafe import Markup
 
 from leastaction.model.constants import SimpleConstants
-from leastaction.model.diagnostics import PathPoint
+from leastaction.model.diagnostics import HiddenMotion, PathPoint
 from leastaction.model.linear import Equilibrium, Linearisation
 from leastaction.model.mathml import Notation
 from leastaction.model.symmetries import Symmetry
@@ -33,6 +33,7 @@ __all__ = [
     "curve_title",
     "departures",
     "energy_title",
+    "estimate_title",
     "forecast_title",
     "motion_note",
     "motion_summary",
@@ -98,8 +99,7 @@ def forecast_title(result: ForecastResult) -> str:
 def curve_title(series: Series, i: int, name: str) -> str:
     """Agreement of curve and samples."""
     if i not in series.measured:
-        largest = plain(1.96 * float(np.max(series.estimate(i).standard_error)), 2)
-        return f"{name}: not measured, but estimated from the equations (95 % band: at most ± {largest})"
+        return estimate_title(series.estimate(i), name)
     ratio = _ratio(series, i)
     if math.isnan(ratio):
         return f"{name}: samples and fitted curve"
@@ -107,6 +107,12 @@ def curve_title(series: Series, i: int, name: str) -> str:
         return f"{name}: the distance between curve and samples agrees with the noise ({ratio:.2f} σ rms)"
     size = "smaller" if ratio < 1.0 else "larger"
     return f"{name}: the distance between curve and samples is {size} than the noise ({ratio:.2f} σ rms)"
+
+
+def estimate_title(motion: HiddenMotion, name: str) -> str:
+    """Accuracy of the motion of a coordinate without a sensor."""
+    largest = plain(float(np.max(motion.reach)), 2)
+    return f"{name}: not measured, but estimated from the equations (95 % band: at most ± {largest})"
 
 
 def zoom_title(series: Series, name: str) -> str:

@@ -44,7 +44,7 @@ class DataFigures:
     def _band(self, i: int) -> Markup:
         """The 95 % band about the estimate, in a separate panel, because it is thin."""
         name, motion = self._name(i), self.series.estimate(i)
-        reach = 1.96 * motion.standard_error
+        reach = motion.reach
         axes = Axes((HALF[0], 130.0))
         axes.strip(motion.t, -reach, reach, "fit")
         axes.rule(0.0, "fit", 1.2)

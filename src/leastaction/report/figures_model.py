@@ -10,7 +10,7 @@ import numpy as np
 from markupsafe import Markup
 from scipy.interpolate import PchipInterpolator
 
-from leastaction.model.diagnostics import PathPoint
+from leastaction.model.diagnostics import HiddenMotion, PathPoint
 from leastaction.model.notation import interval_text, rounded
 from leastaction.model.term import INTERVAL_RISE, ModelTerm, ShapeParameter
 from leastaction.report.axes import HALF, Axes, thin_line
@@ -183,9 +183,16 @@ def _errors_of_forecast(
     return axes.svg(key, title, f"Errors of the forecast as dots, in units of {label[1] or 'the coordinate'}")
 
 
-def draw_forecast(axes: Axes, t: np.ndarray, measured: np.ndarray, run: np.ndarray) -> None:
-    """Draw samples, and over them the free run while it is near them."""
-    axes.samples(t, measured, 4.6)
+def draw_forecast(
+    axes: Axes, t: np.ndarray, measured: np.ndarray, run: np.ndarray, estimate: HiddenMotion | None = None
+) -> None:
+    """Draw samples, or the estimate if there are none, and over them the free run while it is near them."""
+    if estimate is None:
+        axes.samples(t, measured, 4.6)
+    else:
+        measured = estimate.q
+        axes.strip(t, measured - estimate.reach, measured + estimate.reach, "fit")
+        axes.line(*thin_line(t, measured), "fit", 2.6, dashes="7 5")
     there = np.isfinite(run)
     seen = measured[np.isfinite(measured)]
     if seen.size:

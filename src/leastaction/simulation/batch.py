@@ -73,7 +73,7 @@ class StartResult:
     """Channels `q` at the samples of a start, the `variance` (in σ²) of its state error, and how it ended.
 
     ``spread``, (n_samples, n_channels), is the standard deviation from all uncertainties of the law; None if
-    unknown.
+    unknown. ``motion``, (n_samples, n_dof), are the coordinates; None if these are the channels.
     """
 
     q: np.ndarray
@@ -81,6 +81,7 @@ class StartResult:
     status: str
     reason: str
     spread: np.ndarray | None = None
+    motion: np.ndarray | None = None
 
 
 def run_starts(
@@ -192,9 +193,11 @@ class _Batch:
         return state
 
     def _results(self, state, q, alive, resolved) -> list[StartResult]:
+        share = 1.0 + self.horizon / self.window
+        motion = None if self.observe is None else self._flow(state[None], share, observed=False)[0]
         self.n_steps //= 2  # fewer steps suffice for differences of motions
         covariance, jacobian = self._state_error(state)
-        motions = self._flow(self._variants(state), 1.0 + self.horizon / self.window)
+        motions = self._flow(self._variants(state), share)
         variance = self._variance(motions, covariance)
         spread = self._spread(state, motions[0], covariance, jacobian)
         far = self._far(q)
@@ -210,7 +213,9 @@ class _Batch:
                 status, reason = "unresolved", "the integration has not converged at the smallest step"
             values = np.where(np.abs(q[s, :size]) <= _FAR * self._range(), q[s, :size], np.nan)
             wide = None if spread is None else spread[s, :size]
-            out.append(StartResult(values, variance[s, :size], status, reason, wide))
+            full = np.isfinite(values).all(axis=1, keepdims=True)
+            whole = None if motion is None else np.where(full, motion[s, :size], np.nan)
+            out.append(StartResult(values, variance[s, :size], status, reason, wide, whole))
         return out
 
     def _range(self) -> np.ndarray:
@@ -221,11 +226,14 @@ class _Batch:
         valid = np.arange(self.t.shape[1]) < np.array([start.t.size for start in self.starts])[:, None]
         return np.asarray((valid[..., None] & ~(np.abs(q) <= _FAR * self._range())).any(axis=(1, 2)))
 
-    def _flow(self, state: np.ndarray, share: float, drawn: Drawn | None = None) -> np.ndarray:
+    def _flow(
+        self, state: np.ndarray, share: float, drawn: Drawn | None = None, *, observed: bool = True
+    ) -> np.ndarray:
         """Channels (n_variants, n_starts, n_samples, n_channels) from (n_variants, n_starts, 2 n_dof).
 
         They are integrated over `share` of the window by RK4 with common steps. Cubic Hermite interpolation
-        gives the values between them.  Each variant obeys the law, or one of the `drawn` laws.
+        gives the values between them.  Each variant obeys the law, or one of the `drawn` laws.  The channels
+        are the coordinates if these are not `observed`.
         """
         n, h = self.n_dof, self.window / self.n_steps
         n_steps = int(np.ceil(self.n_steps * share - 1e-9))
@@ -247,7 +255,7 @@ class _Batch:
         d = q1 - q0
         values = q0 + u * (h * v0 + u * (3 * d - h * (2 * v0 + v1) + u * (h * (v0 + v1) - 2 * d)))
         values = np.moveaxis(values, 2, 0)
-        if self.observe is None:
+        if self.observe is None or not observed:
             return values
         rates = v0 + u * (6.0 * d / h - 4.0 * v0 - 2.0 * v1 + u * (3.0 * (v0 + v1) - 6.0 * d / h))
         times = self.t + np.array([start.begin for start in self.starts])[:, None]

@@ -61,6 +61,9 @@ class ForecastTrace:
         Standard deviation of measured − forecast according to the model: noise and the propagated errors of
         initial state, coefficients and equations. None if the model has no standard errors; inf where more
         than one drawn motion in twenty diverges.
+    motion : ndarray, shape (n_times, n_dof), optional
+        Simulated coordinates of the model, if the columns are not these: the trial lacks a coordinate, or has
+        columns of the `calibration`. None if `forecast` holds them.
     """
 
     trial: str
@@ -74,6 +77,7 @@ class ForecastTrace:
     status: str
     reason: str = ""
     std: np.ndarray | None = None
+    motion: np.ndarray | None = None
 
     @property
     def reach(self) -> np.ndarray | None:
@@ -298,4 +302,5 @@ def _trace(
         status=result.status,
         reason=result.reason,
         std=None if result.spread is None else np.hypot(result.spread[after], sigma),
+        motion=None if result.motion is None else result.motion[after],
     )
