@@ -23,7 +23,7 @@ import sympy as sp
 
 from leastaction.estimation.problem import Problem
 from leastaction.hidden.windows import Windows
-from leastaction.mechanics.equations import Mechanics
+from leastaction.mechanics.equations import Mechanics, solve
 from leastaction.simulation.integrate import rk4
 
 __all__ = ["Shooter", "Solutions", "law_of"]
@@ -109,13 +109,13 @@ class Shooter:
         return Shooter(self.mechanics, windows, self.unit)
 
     def motions(self, states: np.ndarray, coefficients: np.ndarray, owner: np.ndarray) -> np.ndarray:
-        """(n_nodes, ..., n_runs, 2 n_dof) states, from (..., n_runs, 2 n_dof) initial ones.
+        """(n_nodes, n_runs, 2 n_dof) states, from (n_runs, 2 n_dof) initial ones.
 
-        ``coefficients`` has the shape (n_members, ..., n_runs), ``owner`` is the window of each run.
+        ``coefficients`` has the shape (n_members, n_runs), ``owner`` is the window of each run.
         """
         n, forces = self.n_dof, self.windows.forces
         if forces is not None:
-            forces = forces[:, owner].reshape(len(forces), *(1,) * (states.ndim - 2), owner.size, n)
+            forces = forces[:, owner]
         q, qdot = rk4(
             partial(self.mechanics.acceleration, parameters=coefficients),
             states[..., :n],
@@ -128,16 +128,77 @@ class Shooter:
         return np.concatenate([q, qdot], axis=-1)
 
     def deviations(self, states: np.ndarray, coefficients: np.ndarray, owner: np.ndarray) -> np.ndarray:
-        """(..., n_runs, n_values) deviations of the motions in the measured coordinates, over their scale."""
+        """(n_runs, n_values) deviations of the motions in the measured coordinates, over their scale."""
+        return self._compared(self.motions(states, coefficients, owner), owner)
+
+    def _compared(self, motions: np.ndarray, owner: np.ndarray) -> np.ndarray:
         measured = list(self.windows.measured)
-        q = self.motions(states, coefficients, owner)[..., measured]
         target = self.windows.q[owner][..., measured].transpose(1, 0, 2)
-        target = target.reshape(len(target), *(1,) * (states.ndim - 2), *target.shape[1:])
         with np.errstate(all="ignore"):
-            error = (q - target) / self.windows.scale[measured]
+            error = (motions[..., measured] - target) / self.windows.scale[measured]
         error = np.clip(np.where(np.isfinite(error), error, _LOST), -_LOST, _LOST)
-        error = np.moveaxis(error, 0, -2)
-        return error.reshape(*error.shape[:-2], -1)
+        return error.transpose(1, 0, 2).reshape(owner.size, -1)
+
+    def linearised(
+        self, states: np.ndarray, coefficients: np.ndarray, owner: np.ndarray, sizes: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Deviations of motions, and their slopes in initial states and, with ``sizes``, in coefficients.
+
+        Slopes are per unit of each state, and per size of each coefficient. They follow from the variational
+        equations, the linear ones of small changes of a motion, integrated along it.
+
+        Returns
+        -------
+        (n_runs, n_values) array, (n_runs, n_values, n_unknowns) array
+        """
+        measured = list(self.windows.measured)
+        motions = self.motions(states, coefficients, owner)
+        error = self._compared(motions, owner)
+        with np.errstate(all="ignore"):
+            across = self._variations(*self._varied(motions, coefficients, owner, sizes))
+            slopes = across[..., measured, :] / self.windows.scale[measured][:, None]
+        slopes = slopes.transpose(1, 0, 2, 3).reshape(*error.shape, -1)
+        lost = (np.abs(error) == _LOST)[..., None] | ~(np.abs(slopes) < _LOST / _DIFFERENCE)
+        return error, np.where(lost, 0.0, slopes)
+
+    def _varied(
+        self, motions: np.ndarray, coefficients: np.ndarray, owner: np.ndarray, sizes: np.ndarray | None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """∂q̈/∂(q, q̇), (n_nodes, n_runs, n_dof, 2 n_dof), and ∂q̈/∂λ times the sizes, along motions."""
+        n, windows, mechanics = self.n_dof, self.windows, self.mechanics
+        q, qdot = motions[..., :n], motions[..., n:]
+        clock = windows.begin[owner] + windows.nodes[:, None] if mechanics.timed else None
+        mass, right = mechanics.mass_and_right(q, qdot, coefficients, clock)
+        if windows.forces is not None:
+            right += windows.forces[::2, owner]
+        qddot = solve(mass, right[..., None])[..., 0]
+        pushed = mechanics.slopes(q, qdot, qddot, clock, coefficients)
+        if sizes is not None:
+            shared = sizes * mechanics.parameter_slopes(q, qdot, qddot, clock, coefficients)
+            pushed = np.concatenate([pushed, shared], axis=-1)
+        pushed = solve(mass, pushed)
+        return pushed[..., : 2 * n], pushed[..., 2 * n :]
+
+    def _variations(self, turning: np.ndarray, pushing: np.ndarray) -> np.ndarray:
+        """(n_nodes, n_runs, n_dof, n_unknowns) changes of the coordinates, by Heun's method."""
+        n, nodes = self.n_dof, self.windows.nodes
+        count = 2 * n + pushing.shape[-1]
+        pushed = np.zeros((*pushing.shape[:-1], count))
+        pushed[..., 2 * n :] = pushing
+        state = np.zeros((turning.shape[1], 2 * n, count))
+        state[:, range(2 * n), range(2 * n)] = self.unit
+        out = np.empty((nodes.size, turning.shape[1], n, count))
+        out[0] = state[:, :n]
+
+        def rates(at: int, state: np.ndarray) -> np.ndarray:
+            return np.concatenate([state[:, n:], turning[at] @ state + pushed[at]], axis=1)
+
+        for k, step in enumerate(np.diff(nodes)):
+            first = rates(k, state)
+            second = rates(k + 1, state + step * first)
+            state = state + 0.5 * step * (first + second)
+            out[k + 1] = state[:, :n]
+        return out
 
     def screen(self, coefficients: np.ndarray, begins: np.ndarray, kept: int, rounds: int) -> Solutions:
         """The best of many start values of every window, each with its own fit.
@@ -190,13 +251,10 @@ class Shooter:
         n_sets, n_runs, size = states.shape
         given = np.repeat(coefficients, n_runs, axis=0).T
         owner, flat = np.tile(owner, n_sets), states.reshape(-1, size)
-        steps = _DIFFERENCE * np.diag(self.unit)
 
         def linearised(at: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-            variants = np.concatenate([at[None], at[None] + steps[:, None, :]])
-            error = self.deviations(variants, given[:, None, :], owner)
-            slopes = np.moveaxis((error[1:] - error[:1]) / _DIFFERENCE, 0, -1)
-            return error[0], slopes, (error[0] ** 2).mean(axis=-1)
+            error, slopes = self.linearised(at, given, owner)
+            return error, slopes, (error**2).mean(axis=-1)
 
         damping = np.full(len(flat), _FIRST_DAMPING)
         error, slopes, cost = linearised(flat)
@@ -261,19 +319,10 @@ class Shooter:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Deviations (n_sets, n_windows, n_values), and slopes in the state and the coefficients."""
         n_sets, n_windows, size = states.shape
-        n_members = coefficients.shape[1]
-        flat = np.repeat(states.reshape(1, -1, size), 1 + size + n_members, axis=0)
-        given = np.repeat(coefficients, n_windows, axis=0).T[:, None]
-        given = np.repeat(given, 1 + size + n_members, axis=1)
-        for i in range(size):
-            flat[1 + i, :, i] += _DIFFERENCE * self.unit[i]
-        for k in range(n_members):
-            given[k, 1 + size + k] += _DIFFERENCE * sizes[k]
-        error = self.deviations(flat, given, np.tile(np.arange(n_windows), n_sets))
-        slopes = np.moveaxis((error[1:] - error[:1]) / _DIFFERENCE, 0, -1)
-        return error[0].reshape(n_sets, n_windows, -1), slopes.reshape(
-            n_sets, n_windows, -1, size + n_members
-        )
+        given = np.repeat(coefficients, n_windows, axis=0).T
+        owner = np.tile(np.arange(n_windows), n_sets)
+        error, slopes = self.linearised(states.reshape(-1, size), given, owner, sizes)
+        return error.reshape(n_sets, n_windows, -1), slopes.reshape(n_sets, n_windows, *slopes.shape[1:])
 
     def _step(
         self,
