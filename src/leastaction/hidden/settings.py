@@ -19,14 +19,16 @@ class HiddenSettings:
     """Length of the first windows, in periods of the measured motion. Over this time, a motion that starts
     near the true one stays near it."""
 
-    stages: tuple[tuple[float, int, int, int], ...] = ((1, 8, 256, 10), (1, 20, 32, 12), (2, 20, 10, 15))
+    stages: tuple[tuple[float, int, int, int], ...] = ((1, 8, 256, 10), (1, 20, 24, 6), (2, 12, 20, 30))
     """For each stage: horizon in lengths of the first windows, number of windows, sets of coefficients, steps
-    of their fit. The first stage has all draws. With many terms there are more windows."""
+    of their fit. The first stage has all draws. In short windows, most laws follow the motion after ten
+    steps; in longer ones, the right law may need 60 from far away."""
 
-    terms_of_windows: float = 8.0
-    """Number of terms for which these windows suffice."""
+    few_terms: float = 8.0
+    """Number of terms for which these numbers suffice. With more, the number of windows is larger in this
+    proportion, and after the first stage those of sets and steps, too."""
 
-    last: tuple[float, int, int, int] = (4, 20, 4, 20)
+    last: tuple[float, int, int, int] = (4, 12, 4, 20)
     """The same for the stage in which two draws have to agree."""
 
     batches: int = 3
@@ -37,6 +39,10 @@ class HiddenSettings:
 
     stands_out: float = 1.5
     """Smallest ratio of the costs of the second best and the best law at which the best stands out."""
+
+    closely: float = 0.5
+    """Largest deviation of the best law, in units of deviations, at which no more are drawn. The right law
+    deviates by 0.2 to 0.4, by the error of the smoothed motion."""
 
     follows: float = 10.0
     """Largest deviation of the best law, in units of deviations, at which the search ends. Two draws can end

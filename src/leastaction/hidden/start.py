@@ -78,14 +78,16 @@ def find_start(
     seed : int
     """
     hunt = _Hunt(problem, list(structure), smooth, period, np.random.default_rng(seed))
-    pool, confirmed = hunt.drawn(), False
+    pool = hunt.drawn()
     for attempt in range(HIDDEN.batches):
-        found = hunt.fitted(pool, *HIDDEN.last)
-        follows = np.median(found.best(1).deviation) <= HIDDEN.follows**2
-        confirmed = bool(follows) and _agree(problem, hunt.members, found, hunt.sizes)
-        if confirmed or attempt == HIDDEN.batches - 1:
+        found = hunt.fitted(pool, *hunt.larger(HIDDEN.last))
+        deviation = np.sqrt(np.median(found.best(1).deviation))
+        follows = deviation <= HIDDEN.follows and _agree(problem, hunt.members, found, hunt.sizes)
+        if follows or deviation <= HIDDEN.closely:
             break
-        pool = _joined(found, hunt.drawn())
+        if attempt < HIDDEN.batches - 1:
+            pool = _joined(found, hunt.drawn())
+    confirmed = bool(follows or deviation <= HIDDEN.closely or _stands_out(found))
     return _started(hunt, found.best(1).coefficients, confirmed)
 
 
@@ -169,8 +171,17 @@ class _Hunt:
     def windows(self, factor: float, most: int | None) -> Windows:
         """Windows of ``factor`` times the first length."""
         seconds = factor * HIDDEN.first_window * self.period
-        most = None if most is None else int(most * max(1.0, len(self.members) / HIDDEN.terms_of_windows))
+        most = None if most is None else int(most * self._growth)
         return cut_windows(self.problem, self.smooth, seconds, HIDDEN.step * self.period, most)
+
+    @property
+    def _growth(self) -> float:
+        return max(1.0, len(self.members) / HIDDEN.few_terms)
+
+    def larger(self, stage: tuple[float, int, int, int]) -> tuple[float, int, int, int]:
+        """A stage with the numbers of sets and steps for all terms."""
+        factor, most, sets, rounds = stage
+        return factor, most, int(sets * self._growth), int(rounds * self._growth)
 
     def drawn(self) -> Solutions:
         """The best of many draws after all stages except the last."""
@@ -179,9 +190,9 @@ class _Hunt:
             self.problem, self.members, sizes, self.signs, self.first, self.scales, self.rng
         )
         nothing = np.zeros((len(given), 0))
-        found = Solutions(given, nothing, nothing)
-        for stage in HIDDEN.stages:
-            found = self.fitted(found, *stage)
+        found = self.fitted(Solutions(given, nothing, nothing), *HIDDEN.stages[0])
+        for stage in HIDDEN.stages[1:]:
+            found = self.fitted(found, *self.larger(stage))
         return found
 
     def fitted(self, given: Solutions, factor: float, most: int, sets: int, rounds: int) -> Solutions:
@@ -236,13 +247,16 @@ def _joined(one: Solutions, other: Solutions) -> Solutions:
     return Solutions(coefficients, np.zeros((len(cost), 0)), np.expm1(cost)[:, None])
 
 
+def _stands_out(found: Solutions) -> bool:
+    """Whether the cost of the best set is clearly the lowest."""
+    first, *others = found.best(2).cost
+    return bool(others) and bool(HIDDEN.stands_out * first < others[0])
+
+
 def _agree(problem: Problem, members: Sequence[int], found: Solutions, sizes: np.ndarray) -> bool:
-    """Whether the two best sets are the same law up to the choice of a sign or zero, or one stands out."""
+    """Whether the two best sets are the same law up to the choice of a sign or zero."""
     if len(found.coefficients) < 2:
         return False
-    first, second = found.best(2).cost
-    if HIDDEN.stands_out * first < second:
-        return True
     laws: list[np.ndarray] = []
     for coefficients in found.best(2).coefficients:
         values = np.zeros(len(problem.candidates))
