@@ -24,7 +24,7 @@ from leastaction.hidden import band
 from leastaction.hidden.band import curve_errors, errors_with_sensor
 from leastaction.hidden.chain import chain, continued
 from leastaction.hidden.draws import draw_begins, draw_coefficients, scales_of, signs_without, term_sizes
-from leastaction.hidden.gauge import canonical, open_changes, reflections, simplest_zero
+from leastaction.hidden.gauge import canonical, open_changes, reflections, simpler_forms
 from leastaction.hidden.shooting import Shooter, law_of
 from leastaction.hidden.start import completed
 from leastaction.hidden.windows import cut_windows
@@ -198,6 +198,24 @@ def test_true_motions_stay_with_the_measured_ones(shooting) -> None:
     given = np.repeat(true[:, None], len(states), axis=1)
     deviation = shooter.deviations(states, given, np.arange(len(states)))
     assert np.sqrt(np.mean(deviation**2)) < 1.0  # in 0.2 % of the spread
+
+
+def test_slopes_of_deviations_are_those_of_differences(shooting) -> None:
+    _, shooter, states, true = shooting
+    owner, sizes = np.arange(len(states)), 1.3 * np.abs(true)
+    given = np.repeat(true[:, None], len(states), axis=1)
+    error, slopes = shooter.linearised(states, given, owner, sizes)
+    assert np.array_equal(error, shooter.deviations(states, given, owner))
+    n_states, expected = states.shape[1], []
+    for step in 1e-5 * np.diag([*shooter.unit, *sizes]):
+        own, shared = step[:n_states], step[n_states:, None]
+        above = shooter.deviations(states + own, given + shared, owner)
+        expected.append((above - shooter.deviations(states - own, given - shared, owner)) / 2e-5)
+    differences = np.stack(expected, axis=-1)
+    off, size = (np.linalg.norm(part, axis=(0, 1)) for part in (slopes - differences, differences))
+    assert np.all(off < 0.03 * size)
+    own = shooter.linearised(states, given, owner)[1]
+    assert np.array_equal(own, slopes[..., :n_states])
 
 
 def test_coefficients_and_hidden_states_are_recovered_from_far(shooting) -> None:
@@ -456,9 +474,9 @@ def test_the_zero_of_a_hidden_angle_is_that_of_fewest_terms(shift) -> None:
     fit = grid.fit(
         Structure(members), grid.start(Structure(members), curve.control_points, values, np.ones(2))
     )
-    found = simplest_zero(replace(fit, coefficients=values), HIDDEN)
-    assert found is not None
-    assert found.shift == pytest.approx(-shift, abs=0.01)
+    found = simpler_forms(replace(fit, coefficients=values), HIDDEN)[0]
+    assert (found.change.sign, found.change.function) == (1.0, "1")
+    assert found.change.amount == pytest.approx(-shift, abs=0.01)
     exact = np.array([law.get(term.text, 0.0) for term in problem.terms])
     assert np.allclose(found.coefficients, exact, rtol=0.01)
     assert set(found.members) == {k for k in problem.free if exact[k] != 0.0}

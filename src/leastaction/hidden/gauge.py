@@ -10,19 +10,23 @@ A change is undetectable if the equations of Σ_k λ_k δφ_k are a linear combi
 and, without known forces, of Σ_k λ_k φ_k itself, because L then describes the same motion on any scale.
 Two discrete changes, the reflection q_h → −q_h and half a turn q_h → q_h + π, are tested term by term.
 
-Where the zero of q_h is open, the law can be written about any: q_h = q_h' + c has coefficients λ'(c). The
-zero at which most of them vanish gives the law of fewest terms. Half way to the half turn, sines take the
-place of cosines; of two laws with as many terms we choose the one with more terms that a mirror leaves.
+A law may have a simpler form in another choice of the coordinate, q_h = s Q + c f(q) with s = ±1 and f = 1,
+or a measured coordinate, or its sine or cosine. The equations of the new law follow from the old ones,
+
+    E'_h = s E_h,      E'_i = E_i + c (∂f/∂q_i) E_h,
+
+and its coefficients λ'(c) from a regression. The law of fewest terms is at the c at which most of them vanish.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 import sympy as sp
+from scipy.optimize import minimize_scalar
 
 from leastaction.estimation.fit import Fit
 from leastaction.estimation.problem import Problem
@@ -30,14 +34,15 @@ from leastaction.library import Term
 from leastaction.mechanics import Points
 from leastaction.mechanics.euler_lagrange import EulerLagrange
 
-__all__ = ["Reflection", "Rewritten", "canonical", "open_changes", "reflections", "simplest_zero"]
+__all__ = ["Change", "Reflection", "Rewritten", "canonical", "open_changes", "reflections", "simpler_forms"]
 
 _STATES = 200  # along the motion, at which equations are compared
 _MATTERS = 0.2  # of the largest coefficient of the same kind
-_ZEROS = 72  # shifts that are compared; between them the coefficients are interpolated
-_VANISHES = 0.05  # of the largest value of a coefficient over all zeros
-_REACH = 3.0  # of the spread of a hidden length: its zero is looked for up to here
+_ZEROS = 72  # changes that are compared; between them the coefficients are interpolated
+_VANISHES = 0.05  # of the largest value of a coefficient over all changes
+_REACH = 3.0  # of the spread of a hidden length: changes are looked for up to here
 _TINY = 1e-300  # added to divisors that may vanish
+_WRITTEN = 1e-5  # share of a law that candidates may not write, after a search for the amount of the change
 _EXACT = 1e-7  # relative residual by rounding of equations that are a linear combination of others
 
 OFFSET, SCALE, MIXING = "offset", "scale", "mixing"
@@ -192,53 +197,96 @@ def _states_about(fit: Fit) -> Points:
     return Points(parts[0], parts[1], parts[2], np.zeros(along.shape[2]))
 
 
-class Rewritten(NamedTuple):
-    """A law about another zero of a hidden coordinate.
+class Change(NamedTuple):
+    """Another choice of a hidden coordinate: q_h = s Q + c f(q), with f = 1, or of a measured coordinate.
 
     Attributes
     ----------
-    shift : float
-        The new zero, in the old coordinate.
+    coordinate : int
+        The hidden one.
+    sign : {1.0, -1.0}
+    function : {"1", "q", "sin", "cos"}
+    other : int
+        The coordinate in f.
+    amount : float
+    """
+
+    coordinate: int
+    sign: float
+    function: str
+    other: int
+    amount: float
+
+    def before(self, q: np.ndarray, qdot: np.ndarray, qddot: np.ndarray) -> Points:
+        """The old states of new ones, each (n_points, n_dof)."""
+        f, slope, bend = _FUNCTIONS[self.function](q[:, self.other])
+        own, other = qdot[:, self.other], qddot[:, self.other]
+        parts = [part.copy() for part in (q, qdot, qddot)]
+        moved = f, slope * own, slope * other + bend * own**2
+        for part, more in zip(parts, moved, strict=True):
+            part[:, self.coordinate] = self.sign * part[:, self.coordinate] + self.amount * more
+        return Points(parts[0], parts[1], parts[2], np.zeros(len(q)))
+
+    def after(self, q: np.ndarray) -> np.ndarray:
+        """The new coordinates of old ones, (n_points, n_dof)."""
+        out = q.copy()
+        moved = q[:, self.coordinate] - self.amount * _FUNCTIONS[self.function](q[:, self.other])[0]
+        out[:, self.coordinate] = self.sign * moved
+        return out
+
+    def equations(self, old: np.ndarray, q: np.ndarray) -> np.ndarray:
+        """Euler–Lagrange equations in the new coordinates, (n_dof, n_points), from those in the old ones."""
+        out = old.copy()
+        out[self.other] += self.amount * _FUNCTIONS[self.function](q[:, self.other])[1] * old[self.coordinate]
+        out[self.coordinate] = self.sign * old[self.coordinate]
+        return out
+
+
+# f, f′ and f″ of each function
+_FUNCTIONS: dict[str, Callable[[np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]] = {
+    "1": lambda q: (np.ones_like(q), np.zeros_like(q), np.zeros_like(q)),
+    "q": lambda q: (q, np.ones_like(q), np.zeros_like(q)),
+    "sin": lambda q: (np.sin(q), np.cos(q), -np.sin(q)),
+    "cos": lambda q: (np.cos(q), -np.sin(q), -np.cos(q)),
+}
+
+
+class Rewritten(NamedTuple):
+    """A law in another choice of a hidden coordinate.
+
+    Attributes
+    ----------
+    change : Change
     coefficients : (n_candidates,) array
     members : tuple of int
         Free candidates whose coefficients do not vanish.
     """
 
-    shift: float
+    change: Change
     coefficients: np.ndarray
     members: tuple[int, ...]
 
 
-def simplest_zero(fit: Fit, coordinate: int) -> Rewritten | None:
-    """The law about the zero of a hidden coordinate with which it has fewest terms.
+def simpler_forms(fit: Fit, coordinate: int) -> list[Rewritten]:
+    """The law in other choices of a hidden coordinate that give a simpler form, simplest first.
 
-    None if the candidates cannot write it about other zeros, or if none has fewer terms.
+    A form is simpler if it has fewer terms; of two with as many, the one with more terms that a mirror
+    leaves, then the one with terms that come earlier among the candidates.
     """
-    problem, known = fit.problem, np.nan_to_num(fit.problem.known)
-    shifts, found, sizes = _about_zeros(fit, coordinate)
-    if not found.size:
-        return None
-    largest = np.abs(found).max(axis=0)
-    matters = largest * sizes > _EXACT * (largest * sizes).max()
-    laws: list[Rewritten] = []
-    for k in np.flatnonzero(matters):
-        for n in np.flatnonzero(found[:-1, k] * found[1:, k] < 0.0):
-            there = found[n, k] / (found[n, k] - found[n + 1, k])
-            values = found[n] + there * (found[n + 1] - found[n])
-            kept = matters & (np.abs(values) > _VANISHES * largest)
-            coefficients = known.copy()
-            coefficients[problem.free[kept]] = values[kept]
-            shift = float(shifts[n] + there * (shifts[n + 1] - shifts[n]))
-            laws.append(Rewritten(shift, coefficients, tuple(problem.free[kept].tolist())))
-    laws = [law for law in laws if len(law.members) < len(fit.structure)]
-
+    problem = fit.problem
     mirrored = [_is_mirrored(term, problem.coordinates) for term in problem.terms]
 
-    def length(law: Rewritten) -> tuple[int, int, int]:
-        signs = len(canonical(problem, law.members, law.coefficients))
-        return len(law.members), sum(not mirrored[k] for k in law.members), signs
+    def length(members: Sequence[int], coefficients: np.ndarray) -> tuple[int, int, int, int]:
+        signs = len(canonical(problem, members, coefficients))
+        return len(members), sum(not mirrored[k] for k in members), sum(members), signs
 
-    return min(laws, key=length, default=None)
+    here = length(list(fit.structure), fit.coefficients)
+    found = {}
+    for law in (law for family in _families(fit, coordinate) for law in _forms(fit, family)):
+        key = length(law.members, law.coefficients)
+        if key < here:
+            found.setdefault(key, law)
+    return [found[key] for key in sorted(found)]
 
 
 def _is_mirrored(term: Term, names: Sequence[str]) -> bool:
@@ -247,33 +295,66 @@ def _is_mirrored(term: Term, names: Sequence[str]) -> bool:
     return sp.expand(term.expr.xreplace(swap) - term.expr) == 0
 
 
-def _about_zeros(fit: Fit, coordinate: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Shifts; (n_shifts, n_free) coefficients of the law after them; (n_free,) root mean square of each term.
+def _families(fit: Fit, coordinate: int) -> Iterator[list[Change]]:
+    """Changes of each kind, by amount."""
+    problem, turning = fit.problem, fit.problem.candidates.turning
+    names, curves = problem.coordinates, np.concatenate(list(fit.curves()))
+    pushed, spread = _pushed(problem, coordinate), _REACH * float(curves[:, coordinate].std())
+    steps = np.linspace(-1.0, 1.0, _ZEROS + 1)
+    angle = names[coordinate] in turning
+    kinds = [("1", coordinate, np.pi if angle else spread)]
+    if not (pushed or angle):
+        for i in set(range(len(names))) - {coordinate}:
+            for function in ("sin", "cos") if names[i] in turning else ("q",):
+                size = float(_FUNCTIONS[function](curves[:, i])[0].std())
+                kinds.append((function, i, spread / (size + _TINY)))
+    for sign in (1.0,) if pushed else (1.0, -1.0):
+        for function, other, reach in kinds:
+            yield [Change(coordinate, sign, function, other, float(reach * step)) for step in steps]
 
-    No coefficients where the candidates cannot write the shifted law.
+
+def _forms(fit: Fit, family: list[Change]) -> Iterator[Rewritten]:
+    """The laws of a family that the candidates can write with the known terms as given.
+
+    If they can write all, those in which another coefficient vanishes. Between two changes, coefficients are
+    interpolated to find where one does.
     """
     problem, points = fit.problem, _states_about(fit)
-    free, known = problem.free, np.nan_to_num(problem.known)
-    if problem.coordinates[coordinate] in problem.candidates.turning:
-        shifts = np.linspace(-np.pi, np.pi, _ZEROS + 1)
-    else:
-        spread = float(np.mean([curve[:, coordinate].std() for curve in fit.curves()]))
-        shifts = spread * np.linspace(-_REACH, _REACH, _ZEROS + 1)
+    states = np.array(points.columns).reshape(3, points.n_dof, -1).transpose(0, 2, 1)
     columns = problem.candidates.strong(points).reshape(len(problem.candidates), -1)
-    sizes = np.sqrt((columns[free] ** 2).mean(axis=1)) + 1e-300
-    solve = np.linalg.pinv((columns[free] / sizes[:, None]).T, rcond=1e-10) / sizes[:, None]
-    laws = np.array([_law_about(fit, points, coordinate, shift) for shift in shifts])
-    moved = laws - known @ columns
-    found = moved @ solve.T
-    left = np.sqrt(np.mean((moved - found @ columns[free]) ** 2))
-    if not left <= _EXACT * np.sqrt(np.mean(laws**2)):
-        return shifts, np.zeros((0, len(free))), sizes
-    return shifts, found, sizes
+    sizes = np.sqrt((columns**2).mean(axis=1)) + _TINY
+    solve = np.linalg.pinv((columns / sizes[:, None]).T, rcond=1e-10) / sizes[:, None]
 
+    def law(change: Change) -> tuple[np.ndarray, float]:
+        """Coefficients of all candidates, and the share of the law that they cannot write."""
+        old = np.tensordot(fit.coefficients, problem.candidates.strong(change.before(*states)), 1)
+        new = change.equations(old, states[0]).ravel()
+        found = solve @ new
+        return found, float(np.linalg.norm(new - found @ columns) / (np.linalg.norm(new) + _TINY))
 
-def _law_about(fit: Fit, points: Points, coordinate: int, shift: float) -> np.ndarray:
-    """The equations of the law with the coordinate shifted."""
-    q, qdot, qddot = (part.T.copy() for part in np.array(points.columns).reshape(3, points.n_dof, -1))
-    q[:, coordinate] += shift
-    strong = fit.problem.candidates.strong(Points(q, qdot, qddot, np.zeros(len(q))))
-    return np.tensordot(fit.coefficients, strong, 1).ravel()
+    laws, left = (np.array(part) for part in zip(*map(law, family), strict=True))
+    amounts = np.array([change.amount for change in family])
+    largest, known = np.abs(laws).max(axis=0), np.nan_to_num(problem.known)
+    matters = largest * sizes > _EXACT * (largest * sizes).max()
+    places = [0.0]  # with it, the change of sign alone
+    if left.max() <= _EXACT:
+        off = np.where(matters, laws - known, 0.0)
+        for n, k in np.argwhere(off[:-1] * off[1:] < 0.0):
+            there = off[n, k] / (off[n, k] - off[n + 1, k])
+            places.append(float(amounts[n] + there * (amounts[n + 1] - amounts[n])))
+    else:
+        for n in np.flatnonzero((left[1:-1] < left[:-2]) & (left[1:-1] < left[2:])):
+            about = tuple(amounts[n : n + 3])
+            found = minimize_scalar(lambda c: law(family[0]._replace(amount=c))[1], about, tol=_EXACT)
+            places.append(float(found.x))
+    for amount in sorted(places):
+        if family[0].sign > 0.0 and abs(amount) < _VANISHES * amounts[-1] / _ZEROS:
+            continue  # no change
+        change = family[0]._replace(amount=float(amount))
+        coefficients, remains = law(change)
+        given = problem.is_known & matters
+        off = np.abs(coefficients - known)[given]
+        if remains > _WRITTEN or np.any(off > _VANISHES * largest[given]):
+            continue
+        kept = matters & ~problem.is_known & (np.abs(coefficients) > _VANISHES * largest)
+        yield Rewritten(change, np.where(kept, coefficients, known), tuple(np.flatnonzero(kept).tolist()))

@@ -69,14 +69,14 @@ WITH_HIDDEN = (
     terms_again.run,
     irrelevant_terms.run,
     feeding_friction.run,
-    hidden_start.at_simplest_zero,
+    hidden_start.in_simplest_form,
     irrelevant_terms.run,
     _settled,
     exact_equations.run,
 )
 """Strategies where some coordinates have no samples, in order.
 
-A start with many terms may show no simplest zero, and may not converge; the terms that are left do.
+A start with many terms may not show the simplest form, and may not converge; the terms that are left do.
 """
 
 

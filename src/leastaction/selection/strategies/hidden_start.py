@@ -21,16 +21,18 @@ from leastaction.estimation.protocols import Measurements
 from leastaction.estimation.structure import Structure
 from leastaction.estimation.weights import Start, evidence, update_weights
 from leastaction.findings import find
-from leastaction.hidden.gauge import simplest_zero
+from leastaction.hidden.gauge import simpler_forms
 from leastaction.hidden.start import HiddenStart, find_start, follow_again
 from leastaction.selection.likelihood_refinement import refine, value
 from leastaction.selection.search_state import Search, equations_hold
 
-__all__ = ["at_simplest_zero", "run"]
+__all__ = ["in_simplest_form", "run"]
 
 _Fitted = tuple[Fit, Smooth]  # a fit, and the smooth curve through samples and motion that it began with
 
 _ATTEMPTS = 2  # most searches for a law
+_FORMS = 3  # forms of a law that are fitted, at most
+_SAME = 1.0  # log likelihood by which two fits of one law in two forms may differ
 _FACTOR = 10.0  # by which the weights rise in a step
 _HELD = 2  # first steps, in which coefficients are held
 _MOST_STEPS = 12  # limit on steps
@@ -62,21 +64,23 @@ def run(search: Search) -> Search:
     scales = search.scales._replace(smooth=curve, per_second=fit.grid.knots_per_second)
     names = [problem.coordinates[i] for i in problem.hidden]
     findings = search.findings if confirmed else (*search.findings, find("hidden-start-unconfirmed", names))
-    return at_simplest_zero(
+    return in_simplest_form(
         replace(search, scales=scales, curve=curve, findings=findings).now(fit, first=fit)
     )
 
 
-def at_simplest_zero(search: Search) -> Search:
-    """The law about the zeros of its hidden coordinates that give fewer terms, where it is more probable."""
+def in_simplest_form(search: Search) -> Search:
+    """The law in the choice of hidden coordinates that gives the simplest form, if it is as probable."""
     fit = search.found
     for i in fit.problem.hidden:
-        if not fit.converged or (zero := simplest_zero(fit, i)) is None:
-            continue
-        points = fit.control_points - zero.shift * np.eye(len(fit.problem.coordinates))[i]
-        other = fit.grid.fit(Structure(zero.members), Start(points, zero.coefficients, fit.weights))
-        if other.converged and value(other) > value(fit):
-            fit = refine(other, search.report)
+        forms = simpler_forms(fit, i)[:_FORMS] if fit.converged else []
+        for form in forms:
+            points = form.change.after(fit.control_points)
+            other = fit.grid.fit(Structure(form.members), Start(points, form.coefficients, fit.weights))
+            longer = len(form.members) >= len(fit.structure)
+            if other.converged and value(other) > value(fit) - _SAME * longer:
+                fit = refine(other, search.report)
+                break
     return search.now(fit)
 
 
