@@ -482,6 +482,49 @@ def test_the_zero_of_a_hidden_angle_is_that_of_fewest_terms(shift) -> None:
     assert set(found.members) == {k for k in problem.free if exact[k] != 0.0}
 
 
+@pytest.mark.parametrize(
+    ("name", "hidden", "known", "written"),
+    [
+        (  # θ1 → −θ1
+            "chaotic_pendulum",
+            0,
+            {"cos(theta1)": 4.905},
+            {
+                "theta1_dot*theta2_dot*cos(theta1-theta2)": 0.0,
+                "theta1_dot*theta2_dot*cos(theta1+theta2)": -1.0 / 12.0,
+            },
+        ),
+        (  # θ2 → θ2 + π
+            "chaotic_pendulum",
+            1,
+            {"cos(theta1)": 4.905},
+            {"theta1_dot*theta2_dot*cos(theta1-theta2)": -1.0 / 12.0, "cos(theta2)": -1.635},
+        ),
+        (  # x → −x + 2/3 sin θ
+            "cart_spring_pendulum",
+            0,
+            {"cos(theta)": 9.81, "x_dot*theta_dot*cos(theta)": 1.0},
+            {"x": 0.0, "cos(theta)**2": 20.0 / 9.0, "x*sin(theta)": -20.0 / 3.0},
+        ),
+    ],
+)
+def test_a_law_is_written_in_the_choice_of_fewest_and_first_terms(name, hidden, known, written) -> None:
+    system = systems.get(name)
+    law = {**system.lagrangian, **({"x": 0.0} if "x" in written else {})}
+    extra = [text for text in written if text not in law]
+    truth, setup = set_up(system, known, hidden, more=extra)
+    problem = setup.problem
+    grid = Grid.lay(problem, 25.0)
+    curve = smooth(grid.spline, [t.t for t in truth], [t.q for t in truth])
+    values = np.array([{**law, **written}.get(term.text, 0.0) for term in problem.terms])
+    structure = Structure([k for k in problem.free if values[k] != 0.0])
+    fit = grid.fit(structure, grid.start(structure, curve.control_points, values, np.ones(2)))
+    found = simpler_forms(replace(fit, coefficients=values), hidden)[0]
+    exact = np.array([law.get(term.text, 0.0) for term in problem.terms])
+    assert np.allclose(found.coefficients, exact, atol=1e-4)
+    assert set(found.members) == {k for k in problem.free if exact[k] != 0.0}
+
+
 def test_the_zero_of_a_hidden_angle_is_known_up_to_half_a_turn(pendulum) -> None:
     _, setup, fit = pendulum
     (change,) = reflections(setup.problem, list(fit.structure))

@@ -15,7 +15,7 @@ or a measured coordinate, or its sine or cosine. The equations of the new law fo
 
     E'_h = s E_h,      E'_i = E_i + c (∂f/∂q_i) E_h,
 
-and its coefficients λ'(c) from a regression. The law of fewest terms is at the c at which most of them vanish.
+and its coefficients λ'(c) from a regression. The law of fewest terms is that in which most of them vanish.
 """
 
 from __future__ import annotations
@@ -336,7 +336,7 @@ def _forms(fit: Fit, family: list[Change]) -> Iterator[Rewritten]:
     amounts = np.array([change.amount for change in family])
     largest, known = np.abs(laws).max(axis=0), np.nan_to_num(problem.known)
     matters = largest * sizes > _EXACT * (largest * sizes).max()
-    places = [0.0]  # with it, the change of sign alone
+    places = [0.0, float(amounts[-1])]  # a change of sign alone, or with half a turn
     if left.max() <= _EXACT:
         off = np.where(matters, laws - known, 0.0)
         for n, k in np.argwhere(off[:-1] * off[1:] < 0.0):
@@ -349,7 +349,7 @@ def _forms(fit: Fit, family: list[Change]) -> Iterator[Rewritten]:
             places.append(float(found.x))
     for amount in sorted(places):
         if family[0].sign > 0.0 and abs(amount) < _VANISHES * amounts[-1] / _ZEROS:
-            continue  # no change
+            continue  # nothing changes
         change = family[0]._replace(amount=float(amount))
         coefficients, remains = law(change)
         given = problem.is_known & matters

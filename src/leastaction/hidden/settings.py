@@ -31,8 +31,11 @@ class HiddenSettings:
     last: tuple[float, int, int, int] = (4, 12, 4, 20)
     """The same for the stage in which two draws have to agree."""
 
-    batches: int = 3
-    """Largest number of draws."""
+    doublings: int = 2
+    """Largest number of times that the horizon doubles after the last stage, while several laws follow."""
+
+    batches: tuple[int, int] = (3, 6)
+    """Largest number of draws, with many terms and with few: with few, a draw takes two seconds."""
 
     same: float = 0.05
     """Largest relative difference between coefficients of the same law, after a fit of few windows."""

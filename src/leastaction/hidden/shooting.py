@@ -61,6 +61,16 @@ class Solutions:
             return np.zeros(len(self.coefficients))
         return np.log1p(self.deviation).mean(axis=1)
 
+    @property
+    def typical(self) -> np.ndarray:
+        """(n_sets,) median deviations of the windows, in units of deviations."""
+        return np.sqrt(np.median(self.deviation, axis=1))
+
+    def following(self, closely: float) -> Solutions:
+        """The sets that typically deviate by at most so much."""
+        kept = self.typical <= closely
+        return Solutions(self.coefficients[kept], self.states[kept], self.deviation[kept])
+
     def of_windows(self, n_windows: int) -> Solutions:
         """The best solution of each window, where there are several."""
         n_sets = len(self.coefficients)

@@ -78,17 +78,33 @@ def find_start(
     seed : int
     """
     hunt = _Hunt(problem, list(structure), smooth, period, np.random.default_rng(seed))
-    pool = hunt.drawn()
-    for attempt in range(HIDDEN.batches):
+    pool, batches = hunt.drawn(), hunt.batches
+    for attempt in range(batches):
         found = hunt.fitted(pool, *hunt.larger(HIDDEN.last))
-        deviation = np.sqrt(np.median(found.best(1).deviation))
+        deviation = float(found.best(1).typical[0])
         follows = deviation <= HIDDEN.follows and _agree(problem, hunt.members, found, hunt.sizes)
         if follows or deviation <= HIDDEN.closely:
             break
-        if attempt < HIDDEN.batches - 1:
+        if attempt < batches - 1:
             pool = _joined(found, hunt.drawn())
     confirmed = bool(follows or deviation <= HIDDEN.closely or _stands_out(found))
-    return _started(hunt, found.best(1).coefficients, confirmed)
+    best = _told_apart(hunt, found).best(1)
+    return _started(hunt, best.coefficients, confirmed)
+
+
+def _told_apart(hunt: _Hunt, found: Solutions) -> Solutions:
+    """The laws after fits in longer windows, as long as several of them follow."""
+    factor, *numbers = hunt.larger(HIDDEN.last)
+    for _ in range(HIDDEN.doublings):
+        close = found.following(HIDDEN.closely)
+        if len(close.coefficients) < 2 or _agree(hunt.problem, hunt.members, close, hunt.sizes):
+            break
+        factor *= 2.0
+        longer = hunt.fitted(close, factor, *numbers)
+        if not len(longer.following(HIDDEN.closely).coefficients):
+            break
+        found = longer
+    return found
 
 
 def follow_again(
@@ -177,6 +193,12 @@ class _Hunt:
     @property
     def _growth(self) -> float:
         return max(1.0, len(self.members) / HIDDEN.few_terms)
+
+    @property
+    def batches(self) -> int:
+        """Largest number of draws."""
+        least, most = HIDDEN.batches
+        return max(least, int(most / self._growth**2))
 
     def larger(self, stage: tuple[float, int, int, int]) -> tuple[float, int, int, int]:
         """A stage with the numbers of sets and steps for all terms."""
