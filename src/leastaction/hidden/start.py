@@ -3,8 +3,8 @@
 1. Many sets of coefficients are drawn. Each is tried in short windows, from many hidden states. Then
    coefficients and states are fitted together.
 2. The best sets are fitted in more and longer windows, in which fewer of them follow the measured motion.
-3. The search is confirmed if the best law follows the measured motion, and if two sets end at it or it
-   stands out. Otherwise more sets are drawn.
+3. More sets are drawn until the best law follows the measured motion closely, or two sets end at it. If
+   several follow closely, longer windows tell them apart.
 4. The best law is fitted in windows that cover every trajectory, and their motions are chained.
 """
 
@@ -82,12 +82,12 @@ def find_start(
     for attempt in range(batches):
         found = hunt.fitted(pool, *hunt.larger(HIDDEN.last))
         deviation = float(found.best(1).typical[0])
-        follows = deviation <= HIDDEN.follows and _agree(problem, hunt.members, found, hunt.sizes)
-        if follows or deviation <= HIDDEN.closely:
+        closely, agree = deviation <= HIDDEN.closely, _agree(problem, hunt.members, found, hunt.sizes)
+        if closely or (agree and deviation <= HIDDEN.follows):
             break
         if attempt < batches - 1:
             pool = _joined(found, hunt.drawn())
-    confirmed = bool(follows or deviation <= HIDDEN.closely or _stands_out(found))
+    confirmed = closely or (deviation <= HIDDEN.follows and (agree or _stands_out(found)))
     best = _told_apart(hunt, found).best(1)
     return _started(hunt, best.coefficients, confirmed)
 

@@ -77,8 +77,8 @@ def in_simplest_form(search: Search) -> Search:
         for form in forms:
             points = form.change.after(fit.control_points)
             other = fit.grid.fit(Structure(form.members), Start(points, form.coefficients, fit.weights))
-            longer = len(form.members) >= len(fit.structure)
-            if other.converged and value(other) > value(fit) - _SAME * longer:
+            allowed = _SAME if len(form.members) == len(fit.structure) else 0.0
+            if other.converged and value(other) > value(fit) - allowed:
                 fit = refine(other, search.report)
                 break
     return search.now(fit)
