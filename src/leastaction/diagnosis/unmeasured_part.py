@@ -6,22 +6,26 @@ that carries it obeys
 
     z̈ + 2ζω ż + ω² z = −d²g/dt²,    and its force is  m (ω² z + 2ζω ż) ∂g/∂q.
 
-g is a coordinate or, for an angle, its sine or cosine.  The equation error along the curve is regressed on
-such forces, with m ≥ 0, beside all common terms, late forces, and free oscillations of each trial.  A part is
-reported if it explains most of what those leave, or half and the quarters of the recordings agree on it.
+g is a coordinate or, for an angle, its sine or cosine.  Parts that move far obey other laws: a pendulum that
+hangs from a carriage or from another pendulum, and a mass that slides on a spring across a rod that turns.
+Driven by the measured motion they are simulated, with ω, ζ, a number b of their form and their first states
+fitted.  The equation error along the curve is regressed on such forces, with m ≥ 0, beside all common terms,
+late forces, and free oscillations of each trial.  A part is reported if it explains most of what those leave,
+or half and the quarters of the recordings agree on it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property, lru_cache
 from heapq import nlargest
 from itertools import product
 
 import numpy as np
 from scipy.linalg import block_diag, orth
 from scipy.ndimage import gaussian_filter1d
-from scipy.optimize import minimize, nnls
+from scipy.optimize import least_squares, minimize, nnls
 
 from leastaction.diagnosis.friction import rates_of_forces, usual_friction
 from leastaction.diagnosis.missing_terms import common_terms
@@ -40,6 +44,71 @@ _FREQUENCIES, _DAMPING = 40, (0.003, 0.01, 0.03, 0.1, 0.3)  # of the resonators 
 _FEWEST_TURNS, _RATE = 1.5, 8.0  # turns in the longest trial; rows in a period of the highest frequency
 _STEPS, _ROWS, _TRIALS = 60, 3, 12  # of the simplex; for each column, at least; the longest ones
 _MOST, _RINGS, _RANK = np.array([np.inf, 0.0]), 0.5, 1e-7  # of log ω, log ζ; ζ of a resonance; singular value
+_FINE, _SOLVES, _STARTS = 4, 30, 3  # of parts that move far: steps a row, steps of a fit, best starts of fits
+_PLACES, _LOSSES, _GAIN = 16, (0.02, 0.1), 3.0  # their ω and ζ to scan, and a usual resonance
+_LEAST, _FAR, _HUGE, _NUDGE = 0.001, 1e4, 1e30, 1e-4  # ζ; b over its start; a force; difference quotient
+_ANY = -np.inf, np.inf  # first states
+_A = np.ndarray  # in signatures
+_HALF = 0.5  # of what a resonator leaves: a part that moves far and leaves less describes it better
+
+
+@dataclass(frozen=True)
+class _Form:
+    """A part that may move far, with a number b, at a place that q moves."""
+
+    acceleration: Callable[[_A, _A, _A, _A, _A, _A], _A]  # of ω², b, z, q, q̇, q̈: z̈ without damping
+    force: Callable[[_A, _A, _A, _A, _A, _A, _A, _A], _A]  # of ω², b, z, ż, z̈, q, q̇, q̈, but for terms of q
+    first: tuple[float, ...]  # values of b to start from
+    power: tuple[float, float]  # of ω² and of the deviation at resonance, in the unit of these
+    terms: tuple[str, ...]  # with friction, what declares it
+    friction: str
+
+
+_LOAD = _Form(  # a pendulum under a carriage; b is 1/length, z its angle over b
+    lambda w, b, z, q, v, a: -w * np.sin(b * z) / b - a * np.cos(b * z),
+    lambda w, b, z, u, c, q, v, a: b * u**2 * np.sin(b * z) - c * np.cos(b * z),
+    (0.1, 0.4, 1.2),
+    (0.0, -1.0),
+    ("{h}_dot**2", "{q}_dot*{h}_dot*cos({h})", "cos({h})"),
+    "{h}_dot**2/2",
+)
+_SECOND = _Form(  # a pendulum that hangs from a pendulum; b is the ratio of the lengths, z its angle
+    lambda w, b, z, q, v, a: b * (v**2 * np.sin(q - z) - a * np.cos(q - z)) - w * np.sin(z),
+    lambda w, b, z, u, c, q, v, a: -c * np.cos(q - z) - u**2 * np.sin(q - z),
+    (0.3, 1.0, 2.0),
+    (0.0, 0.0),
+    ("{h}_dot**2", "{q}_dot*{h}_dot*cos({q}-{h})", "cos({h})"),
+    "{h}_dot**2/2",
+)
+_SLIDE = _Form(  # a mass that slides across a rod, on a spring; b is gravity and z the way, over the distance
+    lambda w, b, z, q, v, a: (v**2 - w) * z - b * np.sin(q) - a,
+    lambda w, b, z, u, c, q, v, a: -(z**2) * a - 2.0 * z * u * v - c - b * z * np.cos(q),
+    (0.1, 0.4, 1.2),
+    (1.0, 0.0),
+    ("({q}_dot+{h}_dot)**2", "{h}**2*{q}_dot**2", "{h}*sin({q})", "{h}**2"),
+    "{h}_dot**2/2",
+)
+
+
+@dataclass(frozen=True, eq=False)
+class _Part:
+    """A part, and (2, n_used, n_rows) what everything else leaves, and what it explains of that."""
+
+    errors: np.ndarray
+    omega: float
+    damping: float
+    form: _Form | None = None
+
+    @property
+    def left(self) -> float:
+        whole, part = self.errors
+        return float(np.sum((whole - part) ** 2) / max(np.sum(whole**2), 1e-300))
+
+    @property
+    def size(self) -> float:
+        """In the quarter of the recordings where it is smallest, over that in all."""
+        quarters = np.array_split(self.errors, 4, axis=2)
+        return min(float(np.sum(w * p) / max(np.sum(p * p), 1e-300)) for w, p in quarters)
 
 
 def unmeasured_part(search: Search) -> list[Finding]:
@@ -51,32 +120,73 @@ def unmeasured_part(search: Search) -> list[Finding]:
     low = _FEWEST_TURNS / max(lengths := [float(np.ptp(s.breakpoints)) for s in fit.grid.spline.spaces])
     if low >= high or len(others[0]) < _ROWS * (others[0].shape[1] + 2 * len(trials)):
         return []
+    scales = np.sqrt(fit.weights.physics[used, None])
+    parts = [_resonator(trials, used, others, scales, (low, high))]
+    whole = parts[0].errors[0]
+    k = int(np.argmax(np.sum(whole**2, axis=1)))
+    forms = (_SECOND, _SLIDE) if names[used[k]] in fit.problem.candidates.turning else (_LOAD,)
+    for form in forms if fit.grid.forces is not None else ():  # motion of its own says too little of b
+        far = _Far(form, trials, used[k], others[k])
+        best = far.fitted((low, high))
+        both = np.array([whole, 0.0 * whole])
+        both[:, k] = scales[k] * far.driven(far.at(best))
+        parts.append(_Part(both, float(np.exp(best[0])), float(np.exp(best[1])), form))
+    doubts = doubts_about_the_form(fit, DIAGNOSIS.part_of_error)
+    imitated = any(doubt.code == "form-imitated" for doubt in doubts)
 
-    def errors(logs: np.ndarray) -> np.ndarray:  # (2, n_used, n_rows), what nothing else explains, and a part
+    def passes(part: _Part) -> bool:
+        frequency = part.omega / (2.0 * np.pi)
+        enough = part.size > DIAGNOSIS.part_agrees and frequency * sum(lengths) > DIAGNOSIS.part_turns
+        likely, near = enough and not imitated, part.form is None  # one that moves far could imitate much
+        least = DIAGNOSIS.part_likely if likely and near else DIAGNOSIS.part_explains
+        rings = low < frequency < high and part.damping < _RINGS
+        return rings and 1.0 - part.left > least and (likely or near)
+
+    passing = [part for part in parts if passes(part)]
+    if not passing:
+        return []
+    best = min(passing, key=lambda part: part.left * (_HALF if part.form is None else 1.0))
+    return [_described(best, fit, [names[i] for i in used])]
+
+
+def _described(part: _Part, fit: Fit, used: Sequence[str]) -> Finding:
+    """The finding, with candidates to declare the part."""
+    whole, forces = part.errors
+    carrier = used[int(np.argmax(np.sum(forces * (2.0 * whole - forces), axis=1)))]
+    hidden = free_name("h", {*fit.problem.coordinates, *fit.problem.ranges})
+    if part.form is None:  # position of its mass, on a spring to the carrier
+        terms = [f"{hidden}_dot**2", f"({carrier}-{hidden})**2"]
+        friction = f"({carrier}_dot-{hidden}_dot)**2/2"
+    else:
+        terms = [text.format(q=carrier, h=hidden) for text in part.form.terms]
+        friction = part.form.friction.format(q=carrier, h=hidden)
+    # without known forces, another spring on the coordinate goes with another resonance
+    frequency = part.omega / (2.0 * np.pi)
+    seen = {} if fit.grid.forces is None else {"frequency": frequency, "damping_ratio": part.damping}
+    seen |= {"explained": 1.0 - part.left, "hidden": hidden, "terms": terms, "friction": friction}
+    return find("unmeasured-part", carrier, **seen)
+
+
+def _resonator(
+    trials: list[_Trial],
+    used: list[int],
+    others: list[np.ndarray],
+    scales: np.ndarray,
+    band: tuple[float, float],
+) -> _Part:
+    """The resonator that explains most, on all coordinates."""
+
+    def part(logs: np.ndarray) -> _Part:
         found = [_errors(trials, i, other, logs) for i, other in zip(used, others, strict=True)]
-        return np.sqrt(fit.weights.physics[used, None]) * np.transpose(found, (1, 0, 2))
+        omega, damping = np.exp(np.minimum(logs, _MOST))
+        return _Part(scales * np.transpose(found, (1, 0, 2)), float(omega), float(damping))
 
     def left(logs: np.ndarray) -> float:
-        whole, part = errors(logs)
-        return float(np.sum((whole - part) ** 2) / max(np.sum(whole**2), 1e-300))
+        return part(logs).left
 
-    starts = np.log([*product(2.0 * np.pi * np.geomspace(low, high, _FREQUENCIES), _DAMPING)])
+    starts = np.log([*product(2.0 * np.pi * np.geomspace(*band, _FREQUENCIES), _DAMPING)])
     best = minimize(left, min(starts, key=left), method="Nelder-Mead", options={"maxfev": _STEPS})
-    (omega, damping), found = np.exp(np.minimum(best.x, _MOST)), errors(best.x)
-    frequency, explained = omega / (2.0 * np.pi), 1.0 - best.fun
-    size = min(float(np.sum(w * p) / max(np.sum(p * p), 1e-300)) for w, p in np.array_split(found, 4, axis=2))
-    forms = {doubt.code for doubt in doubts_about_the_form(fit, DIAGNOSIS.part_of_error)}
-    enough = size > DIAGNOSIS.part_agrees and frequency * sum(lengths) > DIAGNOSIS.part_turns
-    least = DIAGNOSIS.part_likely if enough and "form-imitated" not in forms else DIAGNOSIS.part_explains
-    if not (explained > least and low < frequency < high and damping < _RINGS):
-        return []
-    carrier = names[used[int(np.argmax(np.sum(found[1] * (2.0 * found[0] - found[1]), axis=1)))]]
-    hidden = free_name("h", {*names, *fit.problem.ranges})  # position of its mass, on a spring to the carrier
-    terms, friction = [f"{hidden}_dot**2", f"({carrier}-{hidden})**2"], f"({carrier}_dot-{hidden}_dot)**2/2"
-    # without known forces, another spring on the coordinate goes with another resonance
-    seen = {} if fit.grid.forces is None else {"frequency": frequency, "damping_ratio": damping}
-    seen |= {"explained": explained, "hidden": hidden, "terms": terms, "friction": friction}
-    return [find("unmeasured-part", carrier, **seen)]
+    return part(best.x)
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,8 +195,11 @@ class _Trial:
 
     step: float
     every: int
+    stride: int  # steps of the grid in one of a simulation
+    width: float  # of the filter, in steps
     times: np.ndarray  # (n_rows,)
     places: list[tuple[int, np.ndarray, np.ndarray]]  # coordinate, d²g/dt² (n_times,), ∂g/∂q (n_rows,)
+    motion: np.ndarray  # (n_times, 3, n_dof), q, q̇ and q̈
     residual: np.ndarray  # (n_dof, n_rows)
     others: np.ndarray  # (n_columns, n_dof, n_rows), what may explain it otherwise
 
@@ -106,11 +219,16 @@ def _trials(fit: Fit, high: float) -> Iterator[_Trial]:
         others = [columns.strong(points), np.repeat(np.array(plain)[:, None], n, axis=1)]
         others += [] if late is None else [late[chunk].T[None]]
         step = float(np.diff(space.breakpoints[:2])[0])
-        every, width = max(1, int(1.0 / (_RATE * high * step))), 1.0 / (2.0 * np.pi * high * step)
+        stride, width = max(1, int(1.0 / (_FINE * _RATE * high * step))), 1.0 / (2.0 * np.pi * high * step)
+        every = stride * max(1, int(1.0 / (_RATE * high * step * stride)))
         values = np.nan_to_num(np.concatenate([residual[None], *others]), posinf=0.0, neginf=0.0)
         rows = gaussian_filter1d(values, width)[..., ::every]
         places = [(i, gaussian_filter1d(a, width), s[::every]) for i, a, s in _places(points, problem)]
-        yield _Trial(step, every, step * np.arange(space.n_intervals)[::every], places, rows[0], rows[1:])
+        motion = np.array(points.columns[: 3 * n]).reshape(3, n, -1)
+        motion[2] = gaussian_filter1d(motion[2], width)
+        motion = motion.transpose(2, 0, 1)[::stride]
+        times = step * np.arange(space.n_intervals)[::every]
+        yield _Trial(step, every, stride, width, times, places, motion, rows[0], rows[1:])
 
 
 def _places(points: Points, problem: Problem) -> Iterator[tuple[int, np.ndarray, np.ndarray]]:
@@ -142,6 +260,129 @@ def _errors(trials: list[_Trial], i: int, others: np.ndarray, logs: np.ndarray) 
     basis = _basis(columns[:, 1 + len(parts) :])
     columns = columns[:, : 1 + len(parts)] - basis @ (basis.T @ columns[:, : 1 + len(parts)])
     return np.array([columns[:, 0], columns[:, 1:] @ nnls(columns[:, 1:], columns[:, 0])[0]])
+
+
+@dataclass(frozen=True, eq=False)
+class _Far:
+    """Fits of a part of some form on coordinate ``i``: of log ω, log ζ, log b, and the first states."""
+
+    form: _Form
+    trials: list[_Trial]
+    i: int
+    others: np.ndarray  # (n_rows, n_others), orthonormal
+
+    @cached_property
+    def _residual(self) -> np.ndarray:
+        residual = np.concatenate([t.residual[self.i] for t in self.trials])
+        return residual - self.others @ (self.others.T @ residual)
+
+    def fitted(self, band: tuple[float, float]) -> np.ndarray:
+        """The numbers with which it explains most of what neither others nor free oscillations do."""
+        starts, states = self._starts(band), np.zeros(2 * len(self.trials))
+        left = list[float]()
+        for some in np.array_split(starts, _PLACES):
+            tried = self._columns(some, np.zeros((len(some), len(self.trials), 2)))
+            left += [self._left(tried[:, k]) for k in range(len(some))]
+        order = np.argsort(left)
+        ends = np.log([[2.0 * np.pi * f for f in band], [_LEAST, 2.0 * _RINGS], [1.0 / _FAR, _FAR]])
+        found: list[np.ndarray] = []
+        for start in starts[order[:_STARTS]]:
+            about = ends + np.array([[0.0], [0.0], start[2:]])
+            bounds = [np.concatenate([about[:, k], states + _ANY[k]]) for k in range(2)]
+            found.append(self._solved(np.concatenate([start, states]), (bounds[0], bounds[1])))
+        return min(found, key=lambda x: self._left(self.at(x)))
+
+    def _solved(self, start: np.ndarray, bounds: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+        @lru_cache(maxsize=1)
+        def columns(x: bytes) -> np.ndarray:  # one simulation gives the forces and the slopes of a step
+            return self.at(np.frombuffer(x))
+
+        def misfit(x: np.ndarray) -> np.ndarray:
+            return self._misfit(columns(x.tobytes()))
+
+        def slopes(x: np.ndarray) -> np.ndarray:
+            return self._slopes(columns(x.tobytes()))
+
+        found = least_squares(misfit, start, slopes, bounds=bounds, x_scale="jac", max_nfev=_SOLVES)
+        return np.asarray(found.x)
+
+    def driven(self, columns: np.ndarray) -> np.ndarray:
+        """(2, n_rows) what others and free oscillations leave, and what the part explains of it."""
+        free = _basis(columns[4:].T)
+        whole, force = (x - free @ (free.T @ x) for x in (self._residual, columns[0]))
+        return np.array([whole, _amount(whole, force) * force])
+
+    def _left(self, columns: np.ndarray) -> float:
+        whole, part = self.driven(columns)
+        return float(np.sum((whole - part) ** 2))
+
+    def _misfit(self, columns: np.ndarray) -> np.ndarray:
+        return self._residual - _amount(self._residual, columns[0]) * columns[0]
+
+    def _slopes(self, columns: np.ndarray) -> np.ndarray:
+        """Of the misfit as the mass is fitted anew, but for those along the misfit."""
+        force, slopes = columns[0], columns[1:]
+        off = slopes - np.outer(slopes @ force / max(float(force @ force), 1e-300), force)
+        return -_amount(self._residual, force) * off.T
+
+    def at(self, x: np.ndarray) -> np.ndarray:
+        """(1 + 3 + 2 n_trials, n_rows) force of the part, and slopes, but for what others explain."""
+        return self._columns(x[None, :3], x[3:].reshape(1, -1, 2))[:, 0]
+
+    def _columns(self, logs: np.ndarray, states: np.ndarray) -> np.ndarray:
+        """(1 + 3 + 2 n_trials, n, n_rows) forces of n parts, and slopes, but for what others explain."""
+        n = len(self.trials)
+        lanes, begins = np.repeat(logs[None], 6, axis=0), np.repeat(states[None], 6, axis=0)
+        for k in range(3):
+            lanes[1 + k, :, k] += _NUDGE
+        for k in range(2):
+            begins[4 + k, ..., k] += _NUDGE
+        found = _simulated(self.form, self.trials, self.i, lanes.reshape(-1, 3), begins.reshape(-1, n, 2))
+        found = found.reshape(6, len(logs), -1)
+        slopes = (found[1:] - found[0]) / _NUDGE
+        place = np.repeat(np.eye(n), [t.times.size for t in self.trials], axis=1)  # (n_trials, n_rows)
+        first = np.swapaxes(slopes[3:, None] * place[None, :, None], 0, 1).reshape(2 * n, len(logs), -1)
+        columns = np.concatenate([found[:1], slopes[:3], first])
+        return columns - (columns @ self.others) @ self.others.T
+
+    def _starts(self, band: tuple[float, float]) -> np.ndarray:
+        """(n, 3) log ω, log ζ and log b to begin with."""
+        size = float(np.std(np.concatenate([t.motion[:, 2, self.i] for t in self.trials])))
+        omegas = 2.0 * np.pi * np.geomspace(*band, _PLACES + 2)[1:-1]
+        tried = np.array([*product(omegas, _LOSSES, self.form.first)])
+        square, far = self.form.power
+        tried[:, 2] *= tried[:, 0] ** (2.0 * square) * (_GAIN * size / tried[:, 0] ** 2) ** far
+        return np.log(tried)
+
+
+def _amount(whole: np.ndarray, force: np.ndarray) -> float:
+    """The mass, which is not negative."""
+    return max(float(whole @ force) / max(float(force @ force), 1e-300), 0.0)
+
+
+def _simulated(form: _Form, trials: list[_Trial], i: int, logs: np.ndarray, states: np.ndarray) -> np.ndarray:
+    """(n, n_rows) forces of parts with log ω, log ζ, log b, (n, 3), from z and ż/ω, (n, n_trials, 2)."""
+    omega, damping, b = np.exp(logs).T[..., None]
+    step, count = np.array([t.stride * t.step for t in trials]), max(len(t.motion) for t in trials)
+    padded = [np.pad(t.motion[..., i], ((0, count - len(t.motion)), (0, 0)), "edge") for t in trials]
+    motion = np.stack(padded, axis=2)
+    z, rate, square, loss = states[..., 0], omega * states[..., 1], omega**2, 2.0 * damping * omega
+    kept, forces = np.exp(-loss * step), np.empty((count, *z.shape))
+    with np.errstate(over="ignore", invalid="ignore"):  # a slide may run away where the rod turns fast
+        push = form.acceleration(square, b, z, *motion[0])
+        for k in range(count):
+            if k > 0:
+                rate = rate + 0.5 * step * push
+                z = z + step * rate
+                push = form.acceleration(square, b, z, *motion[k])
+                rate = kept * rate + 0.5 * step * push
+            forces[k] = form.force(square, b, z, rate, push - loss * rate, *motion[k])
+    forces = np.clip(np.nan_to_num(forces), -_HUGE, _HUGE)
+    rows = list[np.ndarray]()
+    for k, t in enumerate(trials):
+        slow = gaussian_filter1d(forces[: len(t.motion), :, k], t.width / t.stride, axis=0)
+        rows.append(slow[:: t.every // t.stride])
+    return np.concatenate(rows).T
 
 
 def _basis(columns: np.ndarray) -> np.ndarray:

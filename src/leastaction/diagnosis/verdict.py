@@ -147,6 +147,8 @@ def _likely_causes(search: Search, effects: Effects, off: bool) -> list[Finding]
     again = short and not fit.problem.candidates.grouped and not fit.problem.hidden
     if off and again and not any(cause.holds for cause in known):
         found = _by_search(search)
+    elif again and not fit.converged:  # terms that cancel without end hide the error of the equations
+        found = unmeasured_part(search)
     if found or not usable:
         return found + [cause.finding for cause in known]
     # Terms imitate each other and wrong coefficients: name the more likely cause of the two.
