@@ -17,7 +17,7 @@ or half and the quarters of the recordings agree on it.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from heapq import nlargest
 from itertools import product
@@ -129,7 +129,7 @@ def unmeasured_part(search: Search) -> list[Finding]:
         far = _Far(form, trials, used[k], others[k])
         best = far.fitted((low, high))
         both = np.array([whole, 0.0 * whole])
-        both[:, k] = scales[k] * far.driven(far.at(best))
+        both[:, k] = scales[k] * far.driven(np.concatenate([far.at(best), far.swinging(best)]))
         parts.append(_Part(both, float(np.exp(best[0])), float(np.exp(best[1])), form))
     doubts = doubts_about_the_form(fit, DIAGNOSIS.part_of_error)
     imitated = any(doubt.code == "form-imitated" for doubt in doubts)
@@ -329,6 +329,16 @@ class _Far:
         """(1 + 3 + 2 n_trials, n_rows) force of the part, and slopes, but for what others explain."""
         return self._columns(x[None, :3], x[3:].reshape(1, -1, 2))[:, 0]
 
+    def swinging(self, x: np.ndarray) -> np.ndarray:
+        """(n_trials, n_rows) its force where nothing drives it; a large free oscillation proves no part."""
+        still = [replace(t, motion=0.0 * t.motion) for t in self.trials]
+        free = _simulated(self.form, still, self.i, x[None, :3], x[3:].reshape(1, -1, 2)) * self._place
+        return free - (free @ self.others) @ self.others.T
+
+    @cached_property
+    def _place(self) -> np.ndarray:
+        return np.repeat(np.eye(len(self.trials)), [t.times.size for t in self.trials], axis=1)
+
     def _columns(self, logs: np.ndarray, states: np.ndarray) -> np.ndarray:
         """(1 + 3 + 2 n_trials, n, n_rows) forces of n parts, and slopes, but for what others explain."""
         n = len(self.trials)
@@ -340,8 +350,7 @@ class _Far:
         found = _simulated(self.form, self.trials, self.i, lanes.reshape(-1, 3), begins.reshape(-1, n, 2))
         found = found.reshape(6, len(logs), -1)
         slopes = (found[1:] - found[0]) / _NUDGE
-        place = np.repeat(np.eye(n), [t.times.size for t in self.trials], axis=1)  # (n_trials, n_rows)
-        first = np.swapaxes(slopes[3:, None] * place[None, :, None], 0, 1).reshape(2 * n, len(logs), -1)
+        first = np.swapaxes(slopes[3:, None] * self._place[None, :, None], 0, 1).reshape(2 * n, len(logs), -1)
         columns = np.concatenate([found[:1], slopes[:3], first])
         return columns - (columns @ self.others) @ self.others.T
 
