@@ -28,13 +28,13 @@ class HiddenSettings:
     """Number of terms for which these numbers suffice. With more, the number of windows is larger in this
     proportion, and after the first stage those of sets and steps, too."""
 
-    last: tuple[float, int, int, int] = (4, 12, 4, 20)
+    last: tuple[float, int, int, int] = (4, 12, 4, 40)
     """The same for the stage in which two draws have to agree."""
 
     doublings: int = 2
     """Largest number of times that the horizon doubles after the last stage, while several laws follow."""
 
-    batches: tuple[int, int] = (3, 6)
+    batches: tuple[int, int] = (3, 12)
     """Largest number of draws, with many terms and with few: with few, a draw takes two seconds."""
 
     same: float = 0.05
@@ -54,8 +54,11 @@ class HiddenSettings:
     state_rounds: int = 3
     """Steps of a fit of initial states."""
 
-    branches: int = 8
+    branches: int = 16
     """Motions of each window from which the path is chosen."""
+
+    finer: int = 2
+    """Ratio of the steps of start values in the search to those where one law is followed."""
 
     step: float = 0.02
     """Longest step of the integration, in periods. Its error is far below that of the start values."""

@@ -252,7 +252,8 @@ class _Hunt:
     def _along(self, shooter: Shooter, coefficients: np.ndarray, times: list[np.ndarray]) -> Chained:
         """The motion of a law, from many start values of each window and from the end of the one before."""
         rounds = 2 * HIDDEN.state_rounds
-        found = shooter.screen(coefficients, self._begins()[None], HIDDEN.branches, rounds)
+        begins = draw_begins(self.scales, self.problem.hidden, self.rng, HIDDEN.finer)
+        found = shooter.screen(coefficients, begins[None], HIDDEN.branches, rounds)
         states, owner = continued(shooter, found)
         further = shooter.fit_states(coefficients, states[None], owner, rounds)
         both = found.beside(further, len(shooter.windows))
