@@ -54,10 +54,10 @@ def run(search: Search) -> Search:
         found = find_start(problem, structure, search.curve, period, search.seed + attempt)
         confirmed = confirmed or found.confirmed
         best = _likelier(best, _fitted(search, structure, found, best))
-        if not equations_hold(best[0]):
+        if not _holds(best[0]):
             again = follow_again(problem, structure, search.curve, period, best[0].coefficients)
             best = _likelier(best, _fitted(search, structure, again, best))
-        if equations_hold(best[0]):
+        if _holds(best[0]):
             break
     assert best is not None
     fit, curve = refine(best[0], search.report), best[1]
@@ -82,6 +82,11 @@ def in_simplest_form(search: Search) -> Search:
                 fit = refine(other, search.report)
                 break
     return search.now(fit)
+
+
+def _holds(fit: Fit) -> bool:
+    """Whether the equations hold, and not because their coefficients are about to vanish."""
+    return bool(np.isfinite(fit.evidence)) and equations_hold(fit)
 
 
 def _likelier(one: _Fitted | None, other: _Fitted) -> _Fitted:
