@@ -60,8 +60,7 @@ class _Form:
     force: Callable[[_A, _A, _A, _A, _A, _A, _A, _A], _A]  # of ω², b, z, ż, z̈, q, q̇, q̈, but for terms of q
     first: tuple[float, ...]  # values of b to start from
     power: tuple[float, float]  # of ω² and of the deviation at resonance, in the unit of these
-    terms: tuple[str, ...]  # with friction, what declares it
-    friction: str
+    terms: tuple[str, ...]  # with friction in h alone, what declares it
 
 
 _LOAD = _Form(  # a pendulum under a carriage; b is 1/length, z its angle over b
@@ -70,7 +69,6 @@ _LOAD = _Form(  # a pendulum under a carriage; b is 1/length, z its angle over b
     (0.1, 0.4, 1.2),
     (0.0, -1.0),
     ("{h}_dot**2", "{q}_dot*{h}_dot*cos({h})", "cos({h})"),
-    "{h}_dot**2/2",
 )
 _SECOND = _Form(  # a pendulum that hangs from a pendulum; b is the ratio of the lengths, z its angle
     lambda w, b, z, q, v, a: b * (v**2 * np.sin(q - z) - a * np.cos(q - z)) - w * np.sin(z),
@@ -78,7 +76,6 @@ _SECOND = _Form(  # a pendulum that hangs from a pendulum; b is the ratio of the
     (0.3, 1.0, 2.0),
     (0.0, 0.0),
     ("{h}_dot**2", "{q}_dot*{h}_dot*cos({q}-{h})", "cos({h})"),
-    "{h}_dot**2/2",
 )
 _SLIDE = _Form(  # a mass that slides across a rod, on a spring; b is gravity and z the way, over the distance
     lambda w, b, z, q, v, a: (v**2 - w) * z - b * np.sin(q) - a,
@@ -86,7 +83,6 @@ _SLIDE = _Form(  # a mass that slides across a rod, on a spring; b is gravity an
     (0.1, 0.4, 1.2),
     (1.0, 0.0),
     ("({q}_dot+{h}_dot)**2", "{h}**2*{q}_dot**2", "{h}*sin({q})", "{h}**2"),
-    "{h}_dot**2/2",
 )
 
 
@@ -159,7 +155,7 @@ def _described(part: _Part, fit: Fit, used: Sequence[str]) -> Finding:
         friction = f"({carrier}_dot-{hidden}_dot)**2/2"
     else:
         terms = [text.format(q=carrier, h=hidden) for text in part.form.terms]
-        friction = part.form.friction.format(q=carrier, h=hidden)
+        friction = f"{hidden}_dot**2/2"
     # without known forces, another spring on the coordinate goes with another resonance
     frequency = part.omega / (2.0 * np.pi)
     seen = {} if fit.grid.forces is None else {"frequency": frequency, "damping_ratio": part.damping}

@@ -281,8 +281,8 @@ def simpler_forms(fit: Fit, coordinate: int) -> list[Rewritten]:
         return len(members), sum(not mirrored[k] for k in members), sum(members), signs
 
     here = length(list(fit.structure), fit.coefficients)
-    found = {}
-    for law in (law for family in _families(fit, coordinate) for law in _forms(fit, family)):
+    found, writer = dict[tuple[int, int, int, int], Rewritten](), _Writer(fit)
+    for law in (law for family in _families(fit, coordinate) for law in _forms(writer, family)):
         key = length(law.members, law.coefficients)
         if key < here:
             found.setdefault(key, law)
@@ -313,25 +313,34 @@ def _families(fit: Fit, coordinate: int) -> Iterator[list[Change]]:
             yield [Change(coordinate, sign, function, other, float(reach * step)) for step in steps]
 
 
-def _forms(fit: Fit, family: list[Change]) -> Iterator[Rewritten]:
+class _Writer:
+    """A law in the candidates, in other choices of a hidden coordinate."""
+
+    def __init__(self, fit: Fit) -> None:
+        self.fit = fit
+        points = _states_about(fit)
+        self.states = np.array(points.columns).reshape(3, points.n_dof, -1).transpose(0, 2, 1)
+        candidates = fit.problem.candidates
+        self.columns = candidates.strong(points).reshape(len(candidates), -1)
+        self.sizes = np.sqrt((self.columns**2).mean(axis=1)) + _TINY
+        scaled = (self.columns / self.sizes[:, None]).T
+        self.solve = np.linalg.pinv(scaled, rcond=1e-10) / self.sizes[:, None]
+
+    def law(self, change: Change) -> tuple[np.ndarray, float]:
+        """Coefficients of all candidates, and the share of the law that they cannot write."""
+        strong = self.fit.problem.candidates.strong(change.before(*self.states))
+        new = change.equations(np.tensordot(self.fit.coefficients, strong, 1), self.states[0]).ravel()
+        found = self.solve @ new
+        return found, float(np.linalg.norm(new - found @ self.columns) / (np.linalg.norm(new) + _TINY))
+
+
+def _forms(writer: _Writer, family: list[Change]) -> Iterator[Rewritten]:
     """The laws of a family that the candidates can write with the known terms as given.
 
     If they can write all, those in which another coefficient vanishes. Between two changes, coefficients are
     interpolated to find where one does.
     """
-    problem, points = fit.problem, _states_about(fit)
-    states = np.array(points.columns).reshape(3, points.n_dof, -1).transpose(0, 2, 1)
-    columns = problem.candidates.strong(points).reshape(len(problem.candidates), -1)
-    sizes = np.sqrt((columns**2).mean(axis=1)) + _TINY
-    solve = np.linalg.pinv((columns / sizes[:, None]).T, rcond=1e-10) / sizes[:, None]
-
-    def law(change: Change) -> tuple[np.ndarray, float]:
-        """Coefficients of all candidates, and the share of the law that they cannot write."""
-        old = np.tensordot(fit.coefficients, problem.candidates.strong(change.before(*states)), 1)
-        new = change.equations(old, states[0]).ravel()
-        found = solve @ new
-        return found, float(np.linalg.norm(new - found @ columns) / (np.linalg.norm(new) + _TINY))
-
+    problem, law, sizes = writer.fit.problem, writer.law, writer.sizes
     laws, left = (np.array(part) for part in zip(*map(law, family), strict=True))
     amounts = np.array([change.amount for change in family])
     largest, known = np.abs(laws).max(axis=0), np.nan_to_num(problem.known)

@@ -28,8 +28,8 @@ from leastaction.simulation.integrate import rk4
 
 __all__ = ["Shooter", "Solutions", "law_of"]
 
-_DIFFERENCE = 1e-5  # of a unit
 _LOST = 1e6  # deviation of a motion that diverges
+_STEEPEST = 1e11  # slope of a deviation; steeper ones are those of motions that diverge
 _FIRST_DAMPING = 1e-2  # relative to the diagonal
 _MOST_NUMBERS = 2**24  # in the motions of one batch; bounds the memory
 _MOST_CHANGE = 0.5  # of a coefficient, in one step
@@ -168,7 +168,7 @@ class Shooter:
             across = self._variations(*self._varied(motions, coefficients, owner, sizes))
             slopes = across[..., measured, :] / self.windows.scale[measured][:, None]
         slopes = slopes.transpose(1, 0, 2, 3).reshape(*error.shape, -1)
-        lost = (np.abs(error) == _LOST)[..., None] | ~(np.abs(slopes) < _LOST / _DIFFERENCE)
+        lost = (np.abs(error) == _LOST)[..., None] | ~(np.abs(slopes) < _STEEPEST)
         return error, np.where(lost, 0.0, slopes)
 
     def _varied(
@@ -182,10 +182,10 @@ class Shooter:
         if windows.forces is not None:
             right += windows.forces[::2, owner]
         qddot = solve(mass, right[..., None])[..., 0]
-        pushed = mechanics.slopes(q, qdot, qddot, clock, coefficients)
-        if sizes is not None:
-            shared = sizes * mechanics.parameter_slopes(q, qdot, qddot, clock, coefficients)
-            pushed = np.concatenate([pushed, shared], axis=-1)
+        shared = sizes is not None
+        pushed = mechanics.slopes(q, qdot, qddot, clock, coefficients, of_parameters=shared)
+        if shared:
+            pushed[..., 2 * n :] *= sizes
         pushed = solve(mass, pushed)
         return pushed[..., : 2 * n], pushed[..., 2 * n :]
 

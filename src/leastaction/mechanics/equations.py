@@ -203,24 +203,21 @@ class Mechanics:
     def _equations_function(self) -> Callable[..., list[Any]]:
         return self.compile([*(entry for row in self.mass for entry in row), *self.right], self.parameters)
 
-    def _unbalanced(self, accelerations: Sequence[sp.Symbol]) -> list[sp.Expr]:
-        """r − M q̈ of given accelerations."""
-        return [
-            right - sp.Add(*(m * a for m, a in zip(row, accelerations, strict=True)))
-            for row, right in zip(self.mass, self.right, strict=True)
-        ]
-
     @cached_property
     def _slopes_function(self) -> Callable[..., list[Any]]:
-        held = [sp.Symbol(f"a_{i}", real=True) for i in range(self.n_dof)]
-        slopes = [sp.diff(row, x) for row in self._unbalanced(held) for x in (*self.q, *self.qdot)]
-        return self.compile(slopes, [*held, *self.parameters])
+        return self._compiled_slopes([*self.q, *self.qdot])
 
     @cached_property
-    def _parameter_slopes_function(self) -> Callable[..., list[Any]]:
+    def _all_slopes_function(self) -> Callable[..., list[Any]]:
+        return self._compiled_slopes([*self.q, *self.qdot, *self.parameters])
+
+    def _compiled_slopes(self, symbols: Sequence[sp.Symbol]) -> Callable[..., list[Any]]:
         held = [sp.Symbol(f"a_{i}", real=True) for i in range(self.n_dof)]
-        slopes = [sp.diff(row, p) for row in self._unbalanced(held) for p in self.parameters]
-        return self.compile(slopes, [*held, *self.parameters])
+        rows = [
+            right - sp.Add(*(m * a for m, a in zip(row, held, strict=True)))
+            for row, right in zip(self.mass, self.right, strict=True)
+        ]
+        return self.compile([sp.diff(row, x) for row in rows for x in symbols], [*held, *self.parameters])
 
     @cached_property
     def _energy_function(self) -> Callable[..., list[Any]]:
@@ -274,31 +271,15 @@ class Mechanics:
         qddot: np.ndarray,
         t: Any = None,
         parameters: Iterable[np.ndarray] = (),
+        *,
+        of_parameters: bool = False,
     ) -> np.ndarray:
-        """Return ∂(r − M q̈)/∂(q, q̇) at constant q̈, shape (..., n_dof, 2 n_dof)."""
-        return self._slopes(self._slopes_function, q, qdot, qddot, t, parameters)
+        """Return ∂(r − M q̈)/∂(q, q̇) at constant q̈, shape (..., n_dof, 2 n_dof).
 
-    def parameter_slopes(
-        self,
-        q: np.ndarray,
-        qdot: np.ndarray,
-        qddot: np.ndarray,
-        t: Any = None,
-        parameters: Iterable[np.ndarray] = (),
-    ) -> np.ndarray:
-        """Return ∂(r − M q̈)/∂(parameters) at constant q̈, shape (..., n_dof, n_parameters)."""
-        return self._slopes(self._parameter_slopes_function, q, qdot, qddot, t, parameters)
-
-    def _slopes(
-        self,
-        function: Callable[..., list[Any]],
-        q: np.ndarray,
-        qdot: np.ndarray,
-        qddot: np.ndarray,
-        t: Any,
-        parameters: Iterable[np.ndarray],
-    ) -> np.ndarray:
+        With ``of_parameters``, those in the parameters follow: (..., n_dof, 2 n_dof + n_parameters).
+        """
         held = [qddot[..., i] for i in range(self.n_dof)]
+        function = self._all_slopes_function if of_parameters else self._slopes_function
         with np.errstate(all="ignore"):
             values = function(*self._columns(q, qdot, t), *held, *parameters)
         out = np.empty((*q.shape, len(values) // self.n_dof))
