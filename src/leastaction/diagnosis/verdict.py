@@ -10,7 +10,7 @@ import sympy as sp
 
 from leastaction.diagnosis.competing import rival_warnings
 from leastaction.diagnosis.differing_trials import differences, differing_trials
-from leastaction.diagnosis.effects import Effects, signs_of_imitation
+from leastaction.diagnosis.effects import Effects, cancelling_terms, signs_of_imitation
 from leastaction.diagnosis.families import lacking_family, named_family, simpler_form
 from leastaction.diagnosis.forces import exchanged_forces, scaled_forces
 from leastaction.diagnosis.friction import feeding_friction, hidden_friction, late_forces, wrong_known
@@ -147,8 +147,8 @@ def _likely_causes(search: Search, effects: Effects, off: bool) -> list[Finding]
     again = short and not fit.problem.candidates.grouped and not fit.problem.hidden
     if off and again and not any(cause.holds for cause in known):
         found = _by_search(search)
-    elif again and not fit.converged:  # terms that cancel without end hide the error of the equations
-        found = unmeasured_part(search)
+    elif again and (not fit.converged or _mass_matrix(fit) or any(cancelling_terms(fit))):
+        found = unmeasured_part(search)  # large terms that cancel hide the error of the equations
     if found or not usable:
         return found + [cause.finding for cause in known]
     # Terms imitate each other and wrong coefficients: name the more likely cause of the two.
