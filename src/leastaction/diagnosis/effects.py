@@ -17,14 +17,7 @@ from leastaction.estimation.fit import Fit
 from leastaction.findings import Finding, find
 from leastaction.mechanics.euler_lagrange import EulerLagrange, Points
 
-__all__ = [
-    "Effects",
-    "cancelling_terms",
-    "compared_accelerations",
-    "gain_of_terms",
-    "is_minor",
-    "signs_of_imitation",
-]
+__all__ = ["Effects", "compared_accelerations", "gain_of_terms", "is_minor", "signs_of_imitation"]
 
 _STATES = 2000  # along the motion, at which an effect is computed
 _COMPARED = 400  # along the motion, at which accelerations are compared
@@ -96,10 +89,10 @@ class Effects:
 
 def signs_of_imitation(fit: Fit) -> list[Finding]:
     """What imitations by polynomials often have: terms that cancel, and powers up to the highest offered."""
-    return [*cancelling_terms(fit), *_highest_powers(fit)] if not fit.problem.candidates.grouped else []
+    return [*_cancelling(fit), *_highest_powers(fit)] if not fit.problem.candidates.grouped else []
 
 
-def cancelling_terms(fit: Fit) -> Iterator[Finding]:
+def _cancelling(fit: Fit) -> Iterator[Finding]:
     """Potentials whose forces nearly cancel along the motion, so that hardly any of them is left.
 
     Only terms of the same coordinates are compared: those of a stiff spring between two bodies, x², x y and

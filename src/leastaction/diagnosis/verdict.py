@@ -10,7 +10,7 @@ import sympy as sp
 
 from leastaction.diagnosis.competing import rival_warnings
 from leastaction.diagnosis.differing_trials import differences, differing_trials
-from leastaction.diagnosis.effects import Effects, cancelling_terms, signs_of_imitation
+from leastaction.diagnosis.effects import Effects, signs_of_imitation
 from leastaction.diagnosis.families import lacking_family, named_family, simpler_form
 from leastaction.diagnosis.forces import exchanged_forces, scaled_forces
 from leastaction.diagnosis.friction import feeding_friction, hidden_friction, late_forces, wrong_known
@@ -92,7 +92,10 @@ def verify(
         if (share[i] > SELECTION.holds and not excused[i]) or chi2[i] > DIAGNOSIS.noise_ratio**2
     ]
     off = any(share[i] > SELECTION.holds for i in unexplained)
-    causes = _likely_causes(search, effects, off) if look_for_causes else []
+    mass, imitation = _mass_matrix(fit), signs_of_imitation(fit)
+    # large terms that cancel hide the error of the equations
+    suspect = not fit.converged or bool(mass) or any(sign.code == "cancelling-terms" for sign in imitation)
+    causes = _likely_causes(search, effects, off, suspect) if look_for_causes else []
     found += [_equation_off(fit, i, share[i], chi2[i], bool(causes)) for i in unexplained]
     found += _unexplained_rates(fit, chi2) + causes
     if (unexplained or excused.any()) and samples_per_period >= needed:
@@ -103,8 +106,8 @@ def verify(
     if samples_per_period < needed:
         found.append(find("slow-sampling", samples_per_period=samples_per_period, needed=needed))
     found += _signal(fit) + _identifiability(effects) + doubts_about_shapes(fit)
-    found += rival_warnings(effects, alternatives, search.others) + signs_of_imitation(fit)
-    found += _open_scales(fit) + _mass_matrix(fit)
+    found += rival_warnings(effects, alternatives, search.others) + imitation
+    found += _open_scales(fit) + mass
     found += feeding_friction(effects, search.feeding)
     found += _whiteness(fit) + _zero_offsets(fit) + _between_groups(fit) + _perhaps_angles(fit)
     if not search.knots_settled and fit.converged:
@@ -134,7 +137,7 @@ def _equation_off(fit: Fit, i: int, share: float, chi2: float, cause_named: bool
     )
 
 
-def _likely_causes(search: Search, effects: Effects, off: bool) -> list[Finding]:
+def _likely_causes(search: Search, effects: Effects, off: bool, suspect: bool) -> list[Finding]:
     """What was left out or is wrong, by tests on the fit, or by a new search where the equations are off."""
     if search.stopped:
         return []
@@ -147,8 +150,8 @@ def _likely_causes(search: Search, effects: Effects, off: bool) -> list[Finding]
     again = short and not fit.problem.candidates.grouped and not fit.problem.hidden
     if off and again and not any(cause.holds for cause in known):
         found = _by_search(search)
-    elif again and (not fit.converged or _mass_matrix(fit) or any(cancelling_terms(fit))):
-        found = unmeasured_part(search)  # large terms that cancel hide the error of the equations
+    elif again and suspect:
+        found = unmeasured_part(search)
     if found or not usable:
         return found + [cause.finding for cause in known]
     # Terms imitate each other and wrong coefficients: name the more likely cause of the two.
