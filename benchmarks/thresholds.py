@@ -322,7 +322,7 @@ _OF_DATA = {
     **dict.fromkeys(_SHAPE_FIELDS, _shapes_judged),
     **dict.fromkeys(("lowest_exponent", "plain_terms", "cancelling"), _imitations_judged),
     "plain_terms_grown": _grown_judged,
-    **{f"part_{n}": _parts_judged for n in ("explains", "likely", "agrees", "turns", "fastest")},
+    **{f"part_{n}": _parts_judged for n in ("explains", "few_turns", "agrees", "turns", "fastest")},
 }
 
 
@@ -331,12 +331,15 @@ def _causes_looked_for_once(used: tuple[str, ...]) -> Iterator[None]:
     """Keep the causes of a search while what they depend on stays the same: they take most of the time."""
     find, kept = verdict._likely_causes, {}
 
-    def once(search, effects, off):
+    def once(search, effects, off, suspect):
         values = tuple(getattr(verdict.DIAGNOSIS, name) for name in used)
         any_error = bool((effects.left > verdict.DIAGNOSIS.worth_knowing).any())
-        key = (id(search), off, any_error, significance.SELECTION.false_alarm, values)
+        key = (id(search), off, suspect, any_error, significance.SELECTION.false_alarm, values)
         if key not in kept:
-            kept[key] = (search, find(search, effects, off))  # held, so that no other one gets its id
+            kept[key] = (
+                search,
+                find(search, effects, off, suspect),
+            )  # held, so that no other one gets its id
         return kept[key][1]
 
     verdict._likely_causes = once

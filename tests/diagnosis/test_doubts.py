@@ -692,6 +692,19 @@ def test_a_part_that_moves_far_is_noticed(kind, seed, coupling):
     assert found.values["terms"][1] == coupling
 
 
+@pytest.mark.thorough
+@pytest.mark.parametrize(
+    ("kind", "seed", "hidden_in"), [("pendulums, large swings", 704, 1.0), ("box, large swings", 703, 0.25)]
+)
+def test_a_part_is_noticed_in_the_band_where_it_shows(kind, seed, hidden_in, monkeypatch):
+    """Noise hides the first in the upper band; the second is faster than the lower one."""
+    search, machine = searched(kind, seed)
+    (found,) = unmeasured_part(search)
+    assert found.values["frequency"] == pytest.approx(machine.part / (2.0 * np.pi), rel=0.05)
+    monkeypatch.setattr(parts, "_BANDS", (hidden_in,))
+    assert unmeasured_part(search) == []
+
+
 @pytest.mark.parametrize(
     ("form", "turn", "weights"),
     [

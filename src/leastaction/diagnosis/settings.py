@@ -3,7 +3,7 @@
 Each value says its unit, its origin, and what happens at half and at twice the value (of a ratio: at half
 and twice its distance from one), as `benchmarks/thresholds.py` measures on 30 right and wrong set-ups that
 no rule was made for; causes on 8 wrong ones, rates on 32 channels, `cancelling` on 9 and shapes on 6
-recordings, parts on 243 machines (`part_fastest` on 54). "No effect": no finding and no status changes.
+recordings, parts on 108 machines. "No effect": no finding and no status changes.
 """
 
 from __future__ import annotations
@@ -97,25 +97,23 @@ class DiagnosisSettings:
     laws that depend on time gave 0.36 to 0.81, eight that lack a term 0.01 to 0.51. Half: 3 of these instead
     of 2 are searched with, in vain; twice: one of 15 recordings of the former is not named."""
 
-    part_explains: float = 0.75
-    """Share of what no other term explains that a part without a sensor has to explain. Of 108 machines with
-    one 70 pass, of 135 without none. Half (0.875), beside the next: 80 of 82; twice (0.5): 84, 8 without.
-    Those are resonators. Of 18 machines with large swings, 15 pass with parts that move far."""
+    part_explains: float = 0.55
+    """Share of what no other term explains that a part without a sensor has to explain. Of 48 machines with
+    one 43 pass, of 60 without 1. Half: 43, 6 without; twice: none."""
 
-    part_likely: float = 0.45
-    """The same if the quarters of the recordings agree, and no other form of L explains as much: 82 of these
-    108, and 2 of the 135. Half: 86, 4 without; twice: 70, none."""
+    part_few_turns: float = 0.75
+    """The same where the recordings hold fewer than `part_turns` of them. Half, twice: no effect."""
 
     part_agrees: float = 0.7
-    """Size of the part in each quarter of the recordings over that in all. Half: 83, 4 without; twice: 70."""
+    """Size of the part in each quarter of the recordings over that in all. Half: 43, 2 without one; twice:
+    none."""
 
     part_turns: float = 12.0
-    """Turns of the part in all recordings: each quarter holds three. Of 60 vibrating machines, 9 s each,
-    5 are else said to have one. Half: no effect; twice: 76 of 82."""
+    """Turns of the part in all recordings: each quarter holds three. Half: no effect; twice: 42 of 48."""
 
-    part_fastest: float = 3.0
-    """Highest frequency of such a part over that of the fastest coordinate: above, noise of the accelerations
-    is too large. Half: no effect; twice: 8 of 24 parts are noticed instead of 11."""
+    part_fastest: float = 4.0
+    """Highest frequency of such a part over that of the fastest coordinate. Half and a quarter of it are
+    tried, too, because noise of the accelerations hides parts above. It alone: 37 of 48; without it: 39."""
 
     cancelling: float = 5.0
     """Standard deviation of the force of a term over that of all terms of the same coordinates, beyond which

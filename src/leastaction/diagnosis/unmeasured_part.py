@@ -10,17 +10,17 @@ g is a coordinate or, for an angle, its sine or cosine.  Parts that move far obe
 hangs from a carriage or from another pendulum, and a mass that slides on a spring across a rod that turns.
 Driven by the measured motion they are simulated, with ω, ζ, a number b of their form and their first states
 fitted.  The equation error along the curve is regressed on such forces, with m ≥ 0, beside all common terms,
-late forces, and free oscillations of each trial.  A part is reported if it explains most of what those leave,
-or half and the quarters of the recordings agree on it.
+late forces, and free oscillations of each trial.  A part is reported if it explains most of what those leave
+below some frequency, the quarters of the recordings agree on it, and no other form of L explains as much.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from heapq import nlargest
-from itertools import product
+from itertools import islice, product
 
 import numpy as np
 from scipy.linalg import block_diag, orth
@@ -40,6 +40,7 @@ from leastaction.selection.search_state import Search
 
 __all__ = ["unmeasured_part"]
 
+_BANDS = 0.5, 0.25, 1.0  # in this order, as shares of the highest frequency
 _FREQUENCIES, _DAMPING = 40, (0.003, 0.01, 0.03, 0.1, 0.3)  # of the resonators that are tried
 _FEWEST_TURNS, _RATE = 1.5, 8.0  # turns in the longest trial; rows in a period of the highest frequency
 _STEPS, _ROWS, _TRIALS = 60, 3, 12  # of the simplex; for each column, at least; the longest ones
@@ -47,7 +48,6 @@ _MOST, _RINGS, _RANK = np.array([np.inf, 0.0]), 0.5, 1e-7  # of log ω, log ζ; 
 _FINE, _SOLVES, _STARTS = 4, 30, 3  # of parts that move far: steps a row, steps of a fit, best starts of fits
 _PLACES, _LOSSES, _GAIN = 16, (0.02, 0.1), 3.0  # their ω and ζ to scan, and a usual resonance
 _LEAST, _FAR, _HUGE, _NUDGE = 0.001, 1e4, 1e30, 1e-4  # ζ; b over its start; a force; difference quotient
-_ANY = -np.inf, np.inf  # first states
 _A = np.ndarray  # in signatures
 _HALF = 0.5  # of what a resonator leaves: a part that moves far and leaves less describes it better
 
@@ -88,8 +88,12 @@ _SLIDE = _Form(  # a mass that slides across a rod, on a spring; b is gravity an
 
 @dataclass(frozen=True, eq=False)
 class _Part:
-    """A part, and (2, n_used, n_rows) what everything else leaves, and what it explains of that."""
+    """A part on coordinate ``carrier``, in whose equation it acts.
 
+    ``errors`` are (2, n_rows) what everything else leaves of that equation, and what the part explains of it.
+    """
+
+    carrier: int
     errors: np.ndarray
     omega: float
     damping: float
@@ -103,52 +107,55 @@ class _Part:
     @property
     def size(self) -> float:
         """In the quarter of the recordings where it is smallest, over that in all."""
-        quarters = np.array_split(self.errors, 4, axis=2)
+        quarters = np.array_split(self.errors, 4, axis=1)
         return min(float(np.sum(w * p) / max(np.sum(p * p), 1e-300)) for w, p in quarters)
 
 
 def unmeasured_part(search: Search) -> list[Finding]:
-    """Frequency and damping of a part that explains most of what no other term explains, if there is one."""
+    """Frequency and damping of a part that explains most of what no other term explains, if there is one.
+
+    Noise of the accelerations grows with the square of the frequency, so that it hides a part in one band of
+    the equation error and not in another.  The first band in which a part is found decides.
+    """
     fit, high = search.found, DIAGNOSIS.part_fastest / search.scales.period
+    if any(doubt.code == "form-imitated" for doubt in doubts_about_the_form(fit, DIAGNOSIS.part_of_error)):
+        return []  # another form of L explains as much
+    return list(islice(filter(None, (_in_band(fit, share * high) for share in _BANDS)), 1))
+
+
+def _in_band(fit: Fit, high: float) -> Finding | None:
+    """A part that explains the equation error below a frequency."""
     names, trials = fit.problem.coordinates, list(_trials(fit, high))
     used = [i for i in range(len(names)) if i not in fit.problem.prescribed]
     others = [_basis(np.concatenate([t.others[:, i] for t in trials], axis=1).T) for i in used]
     low = _FEWEST_TURNS / max(lengths := [float(np.ptp(s.breakpoints)) for s in fit.grid.spline.spaces])
     if low >= high or len(others[0]) < _ROWS * (others[0].shape[1] + 2 * len(trials)):
-        return []
-    scales = np.sqrt(fit.weights.physics[used, None])
-    parts = [_resonator(trials, used, others, scales, (low, high))]
-    whole = parts[0].errors[0]
-    k = int(np.argmax(np.sum(whole**2, axis=1)))
-    forms = (_SECOND, _SLIDE) if names[used[k]] in fit.problem.candidates.turning else (_LOAD,)
+        return None
+    parts = [_resonator(trials, i, other, (low, high)) for i, other in zip(used, others, strict=True)]
+    k = int(np.argmin([part.left for part in parts]))
+    i, other = used[k], others[k]
+    forms = (_SECOND, _SLIDE) if names[i] in fit.problem.candidates.turning else (_LOAD,)
     for form in forms if fit.grid.forces is not None else ():  # motion of its own says too little of b
-        far = _Far(form, trials, used[k], others[k])
+        far = _Far(form, trials, i, other)
         best = far.fitted((low, high))
-        both = np.array([whole, 0.0 * whole])
-        both[:, k] = scales[k] * far.driven(np.concatenate([far.at(best), far.swinging(best)]))
-        parts.append(_Part(both, float(np.exp(best[0])), float(np.exp(best[1])), form))
-    doubts = doubts_about_the_form(fit, DIAGNOSIS.part_of_error)
-    imitated = any(doubt.code == "form-imitated" for doubt in doubts)
+        errors = far.driven(np.concatenate([far.at(best), far.swinging(best)]))
+        parts.append(_Part(i, errors, float(np.exp(best[0])), float(np.exp(best[1])), form))
 
     def passes(part: _Part) -> bool:
         frequency = part.omega / (2.0 * np.pi)
-        enough = part.size > DIAGNOSIS.part_agrees and frequency * sum(lengths) > DIAGNOSIS.part_turns
-        likely, near = enough and not imitated, part.form is None  # one that moves far could imitate much
-        least = DIAGNOSIS.part_likely if likely and near else DIAGNOSIS.part_explains
         rings = low < frequency < high and part.damping < _RINGS
-        return rings and 1.0 - part.left > least and (likely or near)
+        many = frequency * sum(lengths) > DIAGNOSIS.part_turns
+        least = DIAGNOSIS.part_explains if many else DIAGNOSIS.part_few_turns
+        return rings and part.size > DIAGNOSIS.part_agrees and 1.0 - part.left > least
 
-    passing = [part for part in parts if passes(part)]
-    if not passing:
-        return []
-    best = min(passing, key=lambda part: part.left * (_HALF if part.form is None else 1.0))
-    return [_described(best, fit, [names[i] for i in used])]
+    passing = filter(passes, parts)
+    best = min(passing, key=lambda p: p.left * (_HALF if p.form is None else 1.0), default=None)
+    return None if best is None else _described(best, fit)
 
 
-def _described(part: _Part, fit: Fit, used: Sequence[str]) -> Finding:
+def _described(part: _Part, fit: Fit) -> Finding:
     """The finding, with candidates to declare the part."""
-    whole, forces = part.errors
-    carrier = used[int(np.argmax(np.sum(forces * (2.0 * whole - forces), axis=1)))]
+    carrier = fit.problem.coordinates[part.carrier]
     hidden = free_name("h", {*fit.problem.coordinates, *fit.problem.ranges})
     if part.form is None:  # position of its mass, on a spring to the carrier
         terms = [f"{hidden}_dot**2", f"({carrier}-{hidden})**2"]
@@ -157,25 +164,18 @@ def _described(part: _Part, fit: Fit, used: Sequence[str]) -> Finding:
         terms = [text.format(q=carrier, h=hidden) for text in part.form.terms]
         friction = f"{hidden}_dot**2/2"
     # without known forces, another spring on the coordinate goes with another resonance
-    frequency = part.omega / (2.0 * np.pi)
-    seen = {} if fit.grid.forces is None else {"frequency": frequency, "damping_ratio": part.damping}
+    numbers = {"frequency": part.omega / (2.0 * np.pi), "damping_ratio": part.damping}
+    seen = numbers if fit.grid.forces is not None else {}
     seen |= {"explained": 1.0 - part.left, "hidden": hidden, "terms": terms, "friction": friction}
     return find("unmeasured-part", carrier, **seen)
 
 
-def _resonator(
-    trials: list[_Trial],
-    used: list[int],
-    others: list[np.ndarray],
-    scales: np.ndarray,
-    band: tuple[float, float],
-) -> _Part:
-    """The resonator that explains most, on all coordinates."""
+def _resonator(trials: list[_Trial], i: int, other: np.ndarray, band: tuple[float, float]) -> _Part:
+    """The resonator on coordinate ``i`` that explains most."""
 
     def part(logs: np.ndarray) -> _Part:
-        found = [_errors(trials, i, other, logs) for i, other in zip(used, others, strict=True)]
         omega, damping = np.exp(np.minimum(logs, _MOST))
-        return _Part(scales * np.transpose(found, (1, 0, 2)), float(omega), float(damping))
+        return _Part(i, _errors(trials, i, other, logs), float(omega), float(damping))
 
     def left(logs: np.ndarray) -> float:
         return part(logs).left
@@ -274,21 +274,16 @@ class _Far:
 
     def fitted(self, band: tuple[float, float]) -> np.ndarray:
         """The numbers with which it explains most of what neither others nor free oscillations do."""
-        starts, states = self._starts(band), np.zeros(2 * len(self.trials))
-        left = list[float]()
+        starts, left = self._starts(band), list[float]()
         for some in np.array_split(starts, _PLACES):
             tried = self._columns(some, np.zeros((len(some), len(self.trials), 2)))
             left += [self._left(tried[:, k]) for k in range(len(some))]
         order = np.argsort(left)
         ends = np.log([[2.0 * np.pi * f for f in band], [_LEAST, 2.0 * _RINGS], [1.0 / _FAR, _FAR]])
-        found: list[np.ndarray] = []
-        for start in starts[order[:_STARTS]]:
-            about = ends + np.array([[0.0], [0.0], start[2:]])
-            bounds = [np.concatenate([about[:, k], states + _ANY[k]]) for k in range(2)]
-            found.append(self._solved(np.concatenate([start, states]), (bounds[0], bounds[1])))
+        found = [self._solved(start, ends) for start in starts[order[:_STARTS]]]
         return min(found, key=lambda x: self._left(self.at(x)))
 
-    def _solved(self, start: np.ndarray, bounds: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+    def _solved(self, start: np.ndarray, ends: np.ndarray) -> np.ndarray:
         @lru_cache(maxsize=1)
         def columns(x: bytes) -> np.ndarray:  # one simulation gives the forces and the slopes of a step
             return self.at(np.frombuffer(x))
@@ -299,8 +294,10 @@ class _Far:
         def slopes(x: np.ndarray) -> np.ndarray:
             return self._slopes(columns(x.tobytes()))
 
-        found = least_squares(misfit, start, slopes, bounds=bounds, x_scale="jac", max_nfev=_SOLVES)
-        return np.asarray(found.x)
+        states = np.tile([-np.inf, np.inf], (2 * len(self.trials), 1))
+        ends = np.concatenate([ends + np.array([[0.0], [0.0], start[2:]]), states]).T
+        start, bounds = np.concatenate([start, np.zeros(len(states))]), (ends[0], ends[1])
+        return least_squares(misfit, start, slopes, bounds=bounds, x_scale="jac", max_nfev=_SOLVES).x
 
     def driven(self, columns: np.ndarray) -> np.ndarray:
         """(2, n_rows) what others and free oscillations leave, and what the part explains of it."""
