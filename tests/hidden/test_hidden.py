@@ -25,8 +25,8 @@ from leastaction.hidden.band import curve_errors, errors_with_sensor
 from leastaction.hidden.chain import chain, continued
 from leastaction.hidden.draws import draw_begins, draw_coefficients, scales_of, signs_without, term_sizes
 from leastaction.hidden.gauge import canonical, open_changes, reflections, simpler_forms
-from leastaction.hidden.shooting import Shooter, law_of
-from leastaction.hidden.start import completed
+from leastaction.hidden.shooting import Shooter
+from leastaction.hidden.start import completed, law_of
 from leastaction.hidden.windows import cut_windows
 from leastaction.refit import refit
 
@@ -323,6 +323,24 @@ def test_a_motion_is_continued_into_a_window_that_missed_it(shooting) -> None:
     both = spoilt.beside(further, len(windows)).of_windows(len(windows))
     np.testing.assert_allclose(both.states[0, lost], good.states[0, lost], atol=1e-3)
     assert both.deviation[0, lost] < 2.0 * good.deviation[0, lost] + 1e-6
+
+
+def test_more_motions_are_found_if_the_horizon_grows() -> None:
+    """The magnets make long motions sensitive to their start."""
+    system = systems.get("magnetic_pendulum")
+    _, setup = set_up(system, hidden=1, trials=3, duration=20.0)
+    problem, period = setup.problem, setup.scales.period
+    windows = cut_windows(problem, setup.scales.smooth, 4.0 / 3.0 * period, 0.02 * period, 12)
+    scales, members = scales_of(problem, windows, period), problem.free.tolist()
+    shooter = Shooter(law_of(problem, members), windows, scales.unit)
+    begins = draw_begins(scales, problem.hidden, np.random.default_rng(0))[None]
+    true = true_coefficients(problem, system)[members][None]
+    whole, grown = (
+        shooter.screen(true, begins, 3, rounds, doublings).of_windows(len(windows)).deviation[0]
+        for rounds, doublings in ((9, 0), (3, 2))
+    )
+    assert np.mean(grown < 1.0) > 0.7
+    assert np.sum(grown < 1.0) > np.sum(whole < 1.0) + 2
 
 
 def test_drawn_laws_reach_those_near_resonance() -> None:

@@ -148,31 +148,23 @@ def draw_coefficients(
     return drawn[order[: HIDDEN.stages[0][2]]]
 
 
-def draw_begins(
-    scales: Scales, hidden: tuple[int, ...], rng: np.random.Generator, finer: int = 1
-) -> np.ndarray:
+def draw_begins(scales: Scales, hidden: tuple[int, ...], rng: np.random.Generator) -> np.ndarray:
     """(n_starts, 2 n_hidden) hidden coordinates and rates, on a grid, or drawn if the grid is too large.
 
-    The grid of an angle has a random offset. A grid ``finer`` times as fine may be larger, too.
+    The grid of an angle has a random offset.
     """
-    angles, lengths, rates = (
-        HIDDEN.angles * finer,
-        (HIDDEN.lengths - 1) * finer + 1,
-        (HIDDEN.rates - 1) * finer + 1,
-    )
     axes: list[np.ndarray] = []
     for i in hidden:
         if scales.cyclic[i]:
             axes.append(np.zeros(1))
         elif scales.angular[i]:
-            axes.append(np.pi * (2.0 * (np.arange(angles) + rng.random()) / angles - 1.0))
+            axes.append(np.pi * (2.0 * (np.arange(HIDDEN.angles) + rng.random()) / HIDDEN.angles - 1.0))
         else:
-            axes.append(scales.q[i] * np.linspace(-2.0, 2.0, lengths))
-    axes += [scales.qdot[i] * np.linspace(-2.0, 2.0, rates) for i in hidden]
-    most = HIDDEN.most_starts * finer**2
-    if np.prod([axis.size for axis in axes]) <= most:
+            axes.append(scales.q[i] * np.linspace(-2.0, 2.0, HIDDEN.lengths))
+    axes += [scales.qdot[i] * np.linspace(-2.0, 2.0, HIDDEN.rates) for i in hidden]
+    if np.prod([axis.size for axis in axes]) <= HIDDEN.most_starts:
         return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))
-    return np.stack([rng.choice(axis, most) for axis in axes], axis=-1)
+    return np.stack([rng.choice(axis, HIDDEN.most_starts) for axis in axes], axis=-1)
 
 
 def _states(windows: Windows, scales: Scales, rng: np.random.Generator) -> Points:

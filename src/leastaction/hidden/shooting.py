@@ -14,19 +14,16 @@ integrates one batch by RK4.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-import sympy as sp
 
-from leastaction.estimation.problem import Problem
 from leastaction.hidden.windows import Windows
 from leastaction.mechanics.equations import Mechanics, solve
 from leastaction.simulation.integrate import rk4
 
-__all__ = ["Shooter", "Solutions", "law_of"]
+__all__ = ["Shooter", "Solutions"]
 
 _LOST = 1e6  # deviation of a motion that diverges
 _STEEPEST = 1e11  # slope of a deviation; steeper ones are those of motions that diverge
@@ -102,7 +99,7 @@ class Shooter:
     Parameters
     ----------
     mechanics : Mechanics
-        With the free coefficients as parameters; see `law_of`.
+        With the free coefficients as parameters.
     windows : Windows
     unit : (2 n_dof,) array
         Scales of coordinates and rates.
@@ -210,8 +207,14 @@ class Shooter:
             out[k + 1] = state[:, :n]
         return out
 
-    def screen(self, coefficients: np.ndarray, begins: np.ndarray, kept: int, rounds: int) -> Solutions:
+    def screen(
+        self, coefficients: np.ndarray, begins: np.ndarray, kept: int, rounds: int, doublings: int = 0
+    ) -> Solutions:
         """The best of many start values of every window, each with its own fit.
+
+        Over a long window, only start values close to the true ones lead to the measured motion. They are
+        therefore tried and fitted at the start of the window. Then the horizon doubles, and the better half
+        stays, until it is the whole window.
 
         Parameters
         ----------
@@ -219,9 +222,11 @@ class Shooter:
         begins : (n_sets, n_starts, 2 n_hidden) array
             Hidden coordinates and rates at the start of a window.
         kept : int
-            Number of start values of each window that are fitted.
+            Number of start values of each window that are fitted over its whole length.
         rounds : int
-            Steps of the fit.
+            Steps of the fit for each horizon.
+        doublings : int
+            How often the horizon doubles.
 
         Returns
         -------
@@ -229,24 +234,32 @@ class Shooter:
             With ``kept`` · n_windows windows: the kept ones of the first window, then of the second, …; fewer
             if there are fewer start values.
         """
-        n_sets, n_starts = begins.shape[:2]
-        kept = min(kept, n_starts)
-        n_windows = len(self.windows)
-        states = np.empty((n_sets, n_windows, n_starts, 2 * self.n_dof))
+        shape = (*begins.shape[:2], 2 * self.n_dof)
+        states = np.empty((shape[0], len(self.windows), *shape[1:]))
         states[..., : self.n_dof] = self.windows.q[:, 0][None, :, None]
         states[..., self.n_dof :] = self.windows.qdot[:, 0][None, :, None]
         states[..., self._hidden] = begins[:, None]
-        found = np.empty((n_sets, n_windows, n_starts))
-        at_once = max(1, _MOST_NUMBERS // (self.windows.nodes.size * 2 * self.n_dof * n_windows * n_starts))
+        for further in range(doublings, 0, -1):
+            part = self.on(self.windows.until(0.5**further))
+            found = part._fit_best(coefficients, states, kept * 2**further, rounds)
+            states = found.states.reshape(*states.shape[:2], -1, states.shape[-1])
+        return self._fit_best(coefficients, states, kept, rounds)
+
+    def _fit_best(self, coefficients: np.ndarray, states: np.ndarray, kept: int, rounds: int) -> Solutions:
+        """Fit the best of (n_sets, n_windows, n_starts, 2 n_dof) states."""
+        n_sets, n_windows, n_starts, size = states.shape
+        kept = min(kept, n_starts)
+        found = np.empty(states.shape[:-1])
+        at_once = max(1, _MOST_NUMBERS // (self.windows.nodes.size * size * n_windows * n_starts))
         owner = np.repeat(np.arange(n_windows), n_starts)
         for a in range(0, n_sets, at_once):
             part = slice(a, a + at_once)
             count = len(coefficients[part])
             given = np.repeat(coefficients[part], n_windows * n_starts, axis=0).T
-            error = self.deviations(states[part].reshape(-1, 2 * self.n_dof), given, np.tile(owner, count))
+            error = self.deviations(states[part].reshape(-1, size), given, np.tile(owner, count))
             found[part] = (error**2).mean(axis=-1).reshape(count, n_windows, n_starts)
         first = np.argsort(found, axis=-1, kind="stable")[..., :kept]
-        states = np.take_along_axis(states, first[..., None], axis=2).reshape(n_sets, -1, 2 * self.n_dof)
+        states = np.take_along_axis(states, first[..., None], axis=2).reshape(n_sets, -1, size)
         return self.fit_states(coefficients, states, np.repeat(np.arange(n_windows), kept), rounds)
 
     @property
@@ -372,18 +385,6 @@ def _cost(
     scale = 4.0 * typical
     bounded = np.log1p(found / scale[:, None]).sum(axis=1)
     return count * scale * bounded + prior * (coefficients**2).sum(axis=1)
-
-
-def law_of(problem: Problem, members: Sequence[int]) -> Mechanics:
-    """The equations of some candidates with free coefficients, and of the known terms."""
-    symbols = [sp.Dummy(real=True) for _ in members]
-    values: list[sp.Expr] = [sp.Float(float(value)) for value in np.nan_to_num(problem.known)]
-    for k, symbol in zip(members, symbols, strict=True):
-        values[k] = symbol
-    candidates = problem.candidates
-    return Mechanics.of_terms(
-        candidates.terms, values, candidates.coordinates, symbols, candidates.prescribed
-    )
 
 
 def _normal(slopes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+import sympy as sp
 
 from leastaction.curve.knots import lay_knots
 from leastaction.curve.smoothing import Smooth
@@ -27,10 +28,11 @@ from leastaction.hidden.chain import Chained, chain, continued
 from leastaction.hidden.draws import draw_begins, draw_coefficients, scales_of, signs_without, term_sizes
 from leastaction.hidden.gauge import canonical
 from leastaction.hidden.settings import HIDDEN
-from leastaction.hidden.shooting import Shooter, Solutions, law_of
+from leastaction.hidden.shooting import Shooter, Solutions
 from leastaction.hidden.windows import Windows, cut_windows
+from leastaction.mechanics.equations import Mechanics
 
-__all__ = ["HiddenStart", "completed", "find_start", "follow_again"]
+__all__ = ["HiddenStart", "completed", "find_start", "follow_again", "law_of"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -222,7 +224,7 @@ class _Hunt:
         shooter = Shooter(self.mechanics, self.windows(factor, most), self.scales.unit)
         coefficients = given.best(sets).coefficients
         begins = np.stack([self._begins()] * len(coefficients))
-        screened = shooter.screen(coefficients, begins, HIDDEN.kept, HIDDEN.state_rounds)
+        screened = shooter.screen(coefficients, begins, HIDDEN.kept, HIDDEN.state_rounds, _doublings(factor))
         return shooter.fit(screened.of_windows(len(shooter.windows)), self.sizes[self.members], rounds)
 
     def everywhere(self, given: Solutions) -> tuple[np.ndarray, Chained]:
@@ -252,8 +254,8 @@ class _Hunt:
     def _along(self, shooter: Shooter, coefficients: np.ndarray, times: list[np.ndarray]) -> Chained:
         """The motion of a law, from many start values of each window and from the end of the one before."""
         rounds = 2 * HIDDEN.state_rounds
-        begins = draw_begins(self.scales, self.problem.hidden, self.rng, HIDDEN.finer)
-        found = shooter.screen(coefficients, begins[None], HIDDEN.branches, rounds)
+        begins, doublings = self._begins()[None], _doublings(HIDDEN.last[0])
+        found = shooter.screen(coefficients, begins, HIDDEN.branches, rounds, doublings)
         states, owner = continued(shooter, found)
         further = shooter.fit_states(coefficients, states[None], owner, rounds)
         both = found.beside(further, len(shooter.windows))
@@ -261,6 +263,23 @@ class _Hunt:
 
     def _begins(self) -> np.ndarray:
         return draw_begins(self.scales, self.problem.hidden, self.rng)
+
+
+def law_of(problem: Problem, members: Sequence[int]) -> Mechanics:
+    """The equations of some candidates with free coefficients, and of the known terms."""
+    symbols = [sp.Dummy(real=True) for _ in members]
+    values: list[sp.Expr] = [sp.Float(float(value)) for value in np.nan_to_num(problem.known)]
+    for k, symbol in zip(members, symbols, strict=True):
+        values[k] = symbol
+    candidates = problem.candidates
+    return Mechanics.of_terms(
+        candidates.terms, values, candidates.coordinates, symbols, candidates.prescribed
+    )
+
+
+def _doublings(factor: float) -> int:
+    """How often the first horizon doubles to be ``factor`` times as long."""
+    return round(np.log2(factor))
 
 
 def _joined(one: Solutions, other: Solutions) -> Solutions:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -53,6 +53,13 @@ class Windows:
     def seconds(self) -> float:
         """Length of a window."""
         return float(self.nodes[-1])
+
+    def until(self, share: float) -> Windows:
+        """The same windows, up to a share of their length."""
+        count = 1 + max(1, round(share * (self.nodes.size - 1)))
+        forces = None if self.forces is None else self.forces[: 2 * count - 1]
+        q, qdot = self.q[:, :count], self.qdot[:, :count]
+        return replace(self, nodes=self.nodes[:count], q=q, qdot=qdot, forces=forces)
 
 
 def cut_windows(problem: Problem, smooth: Smooth, seconds: float, step: float, most: int | None) -> Windows:
