@@ -343,6 +343,18 @@ def test_more_motions_are_found_if_the_horizon_grows() -> None:
     assert np.sum(grown < 1.0) > np.sum(whole < 1.0) + 2
 
 
+def test_the_turns_of_an_angle_are_no_scale_of_a_length() -> None:
+    system = systems.get("spherical_spring_pendulum")
+    truth, setup = set_up(system, hidden=0, duration=20.0)
+    period = setup.scales.period
+    windows = cut_windows(setup.problem, setup.scales.smooth, period, 0.02 * period, None)
+    scales = scales_of(setup.problem, windows, period)
+    assert np.concatenate([motion.q for motion in truth]).std(axis=0)[2] > 10.0
+    assert scales.angular.tolist() == [False, True, True]
+    assert scales.cyclic.tolist() == [False, False, True]
+    assert scales.q[0] == 1.0
+
+
 def test_drawn_laws_reach_those_near_resonance() -> None:
     """Forces may be a fiftieth of the terms; the prior of the fit is as wide as the draws."""
     system = systems.get("double_pendulum")

@@ -53,7 +53,9 @@ class Scales:
 def scales_of(problem: Problem, windows: Windows, period: float) -> Scales:
     """Scales of measured coordinates from the data; hidden ones are assumed to have similar scales."""
     names, measured = problem.coordinates, list(windows.measured)
-    angular = np.array([name in problem.candidates.turning for name in names])
+    angular = np.array([name in {*problem.candidates.turning, *problem.angles} for name in names])
+    used = {symbol.name for term in problem.terms for symbol in term.expr.free_symbols}
+    cyclic = np.array([name not in used for name in names])
     q, qdot = windows.q.reshape(-1, len(names)), windows.qdot.reshape(-1, len(names))
     size, rate = np.ones(len(names)), np.ones(len(names))
     size[measured], rate[measured] = (
@@ -63,10 +65,9 @@ def scales_of(problem: Problem, windows: Windows, period: float) -> Scales:
     frequency = 2.0 * np.pi / period
     for i in windows.hidden:
         alike = [k for k in measured if angular[k] == angular[i]]
-        size[i] = size[alike].mean() if alike else 1.0
+        placed = [k for k in alike if not cyclic[k]]  # the others may turn many times
+        size[i] = size[placed].mean() if placed else 1.0
         rate[i] = rate[alike].mean() if alike else frequency * size[i]
-    used = {symbol.name for term in problem.terms for symbol in term.expr.free_symbols}
-    cyclic = np.array([name not in used for name in names])
     return Scales(size, rate, frequency * rate, angular, cyclic)
 
 
