@@ -27,6 +27,7 @@ from helpers import (
 )
 from leastaction import systems
 from leastaction.curve.bspline import SplineGrid, SplineSpace, uniform_space
+from leastaction.curve.knots import lay_knots
 from leastaction.curve.outliers import leave_out_outliers
 from leastaction.curve.smoothing import banded_gram, smooth
 from leastaction.estimation.grid import Grid
@@ -551,3 +552,23 @@ def test_discovery_is_as_good_as_without_them():
     kept = la.discover(changed(duffing(), q=glitches), DUFFING_LIBRARY, KINETIC, robust=False)
     assert not findings_of(kept, "outliers-left-out")
     assert kept.noise_std[0] > 1.3 * model.noise_std[0]
+
+
+@pytest.mark.parametrize("drift", [0.0, 3.5, -3.5])
+def test_turns_of_an_angle_do_not_hide_its_swings(drift):
+    """The noise is a third of the swings, and a two hundredth of the turns."""
+    t, rng = np.arange(0.0, 20.0, 0.01), np.random.default_rng(0)
+    runs = [
+        la.Trajectory(t, drift * t + 0.5 * np.sin(5.0 * t + k) + rng.normal(0.0, 0.1, t.size))
+        for k in range(3)
+    ]
+    knots = lay_knots(la.Trajectories(runs), 5)
+    assert 5.0 < knots.coarse < 100.0
+    assert knots.per_second > 15.0
+    assert knots.smooth.noise_std[0] == pytest.approx(0.1, rel=0.05)
+
+
+def test_a_steady_turn_has_no_swings():
+    """What rounding leaves of it asks for no knots."""
+    t = np.arange(0.0, 20.0, 0.01)
+    assert lay_knots(la.Trajectories([la.Trajectory(t, 3.5 * t)]), 5).coarse < 10.0

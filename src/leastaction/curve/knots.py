@@ -18,6 +18,7 @@ __all__ = ["FEWEST_SAMPLES", "Knots", "excerpt", "lay_knots"]
 
 FEWEST_SAMPLES = 20  # of a coordinate, at least
 _MOST_GRIDS = 6  # tried in turn
+_ROUNDING = 1e-6  # share of the spread: smaller swings about a steady drift may be rounding
 _PIECES = 20  # at least so many pieces of a long recording are searched
 
 
@@ -52,7 +53,8 @@ def lay_knots(
     The knot spacing h follows the fastest coordinate: h · rms(d³q/dt³)/rms(d²q/dt²) = 1/4, found by
     repeated smoothing; never finer than half a sampling interval.  It begins coarse, h · rms(dq/dt)/std(q) =
     1/4, and stays near what rms(d²q/dt²)/rms(dq/dt) asks for: fine grids admit noise and vibration, whose
-    third derivative asks for finer grids still.
+    third derivative asks for finer grids still.  The turns of an angle that turns many times hide its
+    swings: then it begins with what these ask for.
 
     Motion of few samples a period is noise to a smoother on coarse knots.  What it leaves then is
     predictable from one sample to the next, and finer knots are tried before anything is concluded.
@@ -87,7 +89,10 @@ def lay_knots(
     ):
         first = rate / 5.0  # too few to follow
         smoothed = smoothed_on(first)
-    coarse = knots = knots_for(0)
+    coarse, swinging = knots_for(0), min(CURVE.knots_per_radian * _swing(smoothed, times), 2.0 * rate)
+    if swinging > CURVE.drifts * coarse:
+        coarse = swinging
+    knots = coarse
     for _ in range(_MOST_GRIDS):
         smoothed = smoothed_on(knots)
         wanted = min(knots_for(2), CURVE.most_over_slower * knots_for(1))
@@ -102,6 +107,18 @@ def lay_knots(
         least = CURVE.unknown_noise * spread(0)
         smoothed = replace(smoothed, noise_std=np.maximum(smoothed.noise_std, least))
     return Knots(knots, coarse, period, smoothed, spread(1))
+
+
+def _swing(smoothed: Smooth, times: list[np.ndarray]) -> float:
+    """Largest ratio of std(dq/dt) to std(q) about a steady drift, in 1/s."""
+    curves, slopes = (smoothed.grid.evaluate(smoothed.control_points, times, nu) for nu in (0, 1))
+    size, rate = np.zeros((2, curves[0].shape[1]))
+    for t, q, qdot in zip(times, curves, slopes, strict=True):
+        line = np.column_stack([np.ones(t.size), t - t.mean()])
+        about = q - line @ np.linalg.lstsq(line, q, rcond=None)[0]
+        size += np.mean(about**2, axis=0) + _ROUNDING**2 * np.var(q, axis=0)
+        rate += np.var(qdot, axis=0)
+    return float(np.sqrt(np.max(rate / np.maximum(size, 1e-300))))
 
 
 def _hides_motion(smoothed: Smooth, times: list[np.ndarray], values: list[np.ndarray]) -> bool:

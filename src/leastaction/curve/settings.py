@@ -32,6 +32,11 @@ class CurveSettings:
     """Share by which the knots that the motion asks for may differ from those that show it. Half, twice:
     other findings about one wrong result."""
 
+    drifts: float = 3.0
+    """Knots that swings about a steady drift ask for, over those that the whole motion asks for, above which
+    the grids begin with the former: 26 to 33 of angles that turn some 20 times, 1.0 to 1.2 of all other
+    coordinates of seven simulated systems. Half, twice: no effect."""
+
     samples_per_knot: float = 2.5
     """Samples in a knot interval where noise has to be told from what is measured: about outliers, in
     forces. Half (of its distance from one): no effect; twice: other findings about one wrong result."""
