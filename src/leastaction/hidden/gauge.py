@@ -347,7 +347,8 @@ def _forms(writer: _Writer, family: list[Change]) -> Iterator[Rewritten]:
     matters = largest * sizes > _EXACT * (largest * sizes).max()
     places = [0.0, float(amounts[-1])]  # a change of sign alone, or with half a turn
     if left.max() <= _EXACT:
-        off = np.where(matters, laws - known, 0.0)
+        varies = np.abs(laws - known).max(axis=0) > _EXACT * largest  # by more than rounding
+        off = np.where(matters & varies, laws - known, 0.0)
         for n, k in np.argwhere(off[:-1] * off[1:] < 0.0):
             there = off[n, k] / (off[n, k] - off[n + 1, k])
             places.append(float(amounts[n] + there * (amounts[n + 1] - amounts[n])))
