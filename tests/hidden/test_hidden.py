@@ -219,13 +219,16 @@ def test_slopes_of_deviations_are_those_of_differences(shooting) -> None:
 
 
 def test_coefficients_and_hidden_states_are_recovered_from_far(shooting) -> None:
+    """From most of several starts: which of the others stay behind depends on rounding."""
     _, shooter, states, true = shooting
-    rng = np.random.default_rng(5)
-    away = states + rng.normal(0.0, 0.1, states.shape) * shooter.unit
-    start = shooter.fit_states((true * 1.2)[None], away[None], np.arange(len(states)), 4)
-    found = shooter.fit(start, np.abs(true), 25)
-    assert np.allclose(found.coefficients[0], true, rtol=0.02)
-    assert np.abs(found.states[0] - states)[:, 1].max() < 0.02
+    rng, sets = np.random.default_rng(5), 8
+    away = states + rng.normal(0.0, 0.1, (sets, *states.shape)) * shooter.unit
+    start = shooter.fit_states(np.tile(1.2 * true, (sets, 1)), away, np.arange(len(states)), 4)
+    found = shooter.fit(start, np.abs(true), 60)
+    there = np.all(np.abs(found.coefficients / true - 1.0) < 0.02, axis=1)
+    assert np.count_nonzero(there) > sets // 2
+    assert there[np.argmin(found.cost)]
+    assert np.abs(found.best(1).states[0] - states)[:, 1].max() < 0.02
 
 
 def test_a_law_is_told_from_another_by_its_cost(shooting) -> None:
