@@ -55,8 +55,7 @@ test: $(STAMPS)/test
 test-kernels: $(STAMPS)/test
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/test_kernels.py $(KERNELS) -- -n $(WORKERS) -q $(TEST_ARGS)
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n $(WORKERS) -q -m thorough \
-	  tests/app tests/arms tests/cli tests/data tests/exporters tests/hidden tests/reproduction tests/studies \
-	  tests/test_docs.py
+	  tests/app tests/arms tests/cli tests/data tests/exporters tests/reproduction tests/studies tests/test_docs.py
 
 lint: $(STAMPS)/lint
 	$(BIN)/ruff check .

@@ -29,7 +29,7 @@ from leastaction import systems
 from leastaction.threads import _interrupts_later, single_threaded
 
 ROOT = Path(__file__).resolve().parents[1]
-FOLDERS = ["api", "curve", "diagnosis", "estimation", "library", "mechanics", "model"]
+FOLDERS = ["api", "curve", "diagnosis", "estimation", "hidden", "library", "mechanics", "model"]
 FOLDERS += ["selection", "simulation", "systems"]
 MODULES = ["kernels", "package", "sklearn"]
 _PROBE = """
