@@ -336,10 +336,8 @@ def _causes_looked_for_once(used: tuple[str, ...]) -> Iterator[None]:
         any_error = bool((effects.left > verdict.DIAGNOSIS.worth_knowing).any())
         key = (id(search), off, suspect, any_error, significance.SELECTION.false_alarm, values)
         if key not in kept:
-            kept[key] = (
-                search,
-                find(search, effects, off, suspect),
-            )  # held, so that no other one gets its id
+            # the search is held, so that no other one gets its id
+            kept[key] = (search, find(search, effects, off, suspect))
         return kept[key][1]
 
     verdict._likely_causes = once

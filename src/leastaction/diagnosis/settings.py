@@ -3,7 +3,7 @@
 Each value says its unit, its origin, and what happens at half and at twice the value (of a ratio: at half
 and twice its distance from one), as `benchmarks/thresholds.py` measures on 30 right and wrong set-ups that
 no rule was made for; causes on 8 wrong ones, rates on 32 channels, `cancelling` on 9 and shapes on 6
-recordings, parts on 108 machines. "No effect": no finding and no status changes.
+recordings, parts on 108 machines, all equations together. "No effect": no finding and no status changes.
 """
 
 from __future__ import annotations
@@ -102,7 +102,7 @@ class DiagnosisSettings:
     one 43 pass, of 60 without 1. Half: 43, 6 without; twice: none."""
 
     part_few_turns: float = 0.75
-    """The same where the recordings hold fewer than `part_turns` of them. Half, twice: no effect."""
+    """The same where the recordings hold fewer turns than `part_turns`. Half, twice: no effect."""
 
     part_agrees: float = 0.7
     """Size of the part in each quarter of the recordings over that in all. Half: 43, 2 without one; twice:
