@@ -152,9 +152,10 @@ def test_from_a_file_to_the_downloads(open_tab, tmp_path):
     assert "function acceleration" in Path(code.value.path()).read_text(encoding="utf-8")
     download = page.get_by_role("button", name="model.json")
     download.evaluate("button => { button.dataset.same = 'yes' }")
-    assert (
-        min(page_helpers.seconds_to_the_law_after(page, name) for name in ("Fewer terms", "More terms")) < 0.3
-    )
+    # There and back, so that the law of two terms is saved. A busy machine may delay one of the steps.
+    seconds = [page_helpers.seconds_to_the_law_after(page, name) for name in ("More terms", "Fewer terms")]
+    assert min(seconds) < 0.3
+    assert max(seconds) < 3.0
     # A button that is made anew would lose a click, the focus, or an open list.
     assert download.evaluate("button => button.dataset.same") == "yes"
     with page.expect_download() as session:
