@@ -322,7 +322,9 @@ _OF_DATA = {
     **dict.fromkeys(_SHAPE_FIELDS, _shapes_judged),
     **dict.fromkeys(("lowest_exponent", "plain_terms", "cancelling"), _imitations_judged),
     "plain_terms_grown": _grown_judged,
-    **{f"part_{n}": _parts_judged for n in ("explains", "few_turns", "agrees", "turns", "fastest")},
+    **{
+        f"part_{n}": _parts_judged for n in ("explains", "few_turns", "certain", "agrees", "turns", "fastest")
+    },
 }
 
 

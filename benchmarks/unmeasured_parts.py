@@ -9,7 +9,7 @@ friction.  Machines of ``WITH`` have a part that is not in the table.  Those of 
 not described by the candidates either: another force, friction, clock, late or missing drive.
 
 Swings are about a quarter of a radian, large ones a whole one.  The rule was set on machines 400 to 403, 703
-to 706 and 810 to 820; none from 830 on was used.
+to 706, 810 to 820 and 830 to 833; none from 840 on was used.
 """
 
 from __future__ import annotations

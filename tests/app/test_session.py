@@ -764,6 +764,12 @@ def test_what_one_click_may_do():
     assert hide.choice.hidden == "h"
     assert hide.choice.text.splitlines() == ["theta_dot**2", "sin(theta)", "h_dot**2", "(theta-h)**2"]
     assert hide.choice.more_friction.splitlines() == ["abs(theta_dot)", "(theta_dot-h_dot)**2/2"]
+    (both,) = offer(
+        "unmeasured-part", "theta", **part | {"hidden": "h, h1", "friction": "h_dot**2, h1_dot**2"}
+    )
+    assert both.words == "Add parts h, h1 without a sensor"
+    assert both.choice.hidden == "h, h1"
+    assert both.choice.more_friction.splitlines() == ["abs(theta_dot)", "h_dot**2", "h1_dot**2"]
     for code in ("late-forces", "slight-delay"):
         (later,) = offer(code, "theta", delay=0.004)
         assert later.words == "Let the forces act 14 ms later"

@@ -17,7 +17,7 @@ from benchmarks.unmeasured_parts import asked, draw
 from helpers import findings_of, free_motions, with_rates
 from leastaction import InputError, Trajectories, Trajectory, delay, discover, smooth, systems
 from leastaction.curve.knots import excerpt, lay_knots
-from leastaction.diagnosis import families, smooth_changes
+from leastaction.diagnosis import families, far_parts, smooth_changes
 from leastaction.diagnosis import unmeasured_part as parts
 from leastaction.diagnosis.rates import doubts_about_rates
 from leastaction.diagnosis.unmeasured_part import unmeasured_part
@@ -708,9 +708,9 @@ def test_a_part_is_noticed_in_the_band_where_it_shows(kind, seed, hidden_in, mon
 @pytest.mark.parametrize(
     ("form", "turn", "weights"),
     [
-        (parts._LOAD, "b*z", ["1/(2*b**2)", "1/b", "w/b**2"]),
-        (parts._SECOND, "z", ["1/(2*b)", "1", "w/b"]),
-        (parts._SLIDE, "z", ["1/2", "1/2", "-b", "-w/2"]),
+        (far_parts.LOAD, "b*z", ["1/(2*b**2)", "1/b", "w/b**2"]),
+        (far_parts.SECOND, "z", ["1/(2*b)", "1", "w/b"]),
+        (far_parts.SLIDE, "z", ["1/2", "1/2", "-b", "-w/2"]),
     ],
 )
 def test_parts_that_move_far_obey_the_law_that_is_offered(form, turn, weights):
@@ -731,6 +731,64 @@ def test_parts_that_move_far_obey_the_law_that_is_offered(form, turn, weights):
             assert of_z(w, b, z0, u, c, q0, v, a) == pytest.approx(0.0, abs=1e-12)
             forces.append(of_q(w, b, z0, u, c, q0, v, a) + form.force(w, b, z0, u, c, q0, v, a))
         assert forces[0] == pytest.approx(forces[1], abs=1e-12)
+
+
+@pytest.mark.thorough
+def test_two_parts_are_noticed_by_their_resonances():
+    search, machine = searched("two parts", 403)
+    (found,) = unmeasured_part(search)
+    values = found.values
+    assert values["frequency"] == pytest.approx(2.0 * machine.part / (2.0 * np.pi), rel=0.1)
+    assert values["second_frequency"] == pytest.approx(machine.part / (2.0 * np.pi), rel=0.02)
+    assert values["explained"] > 0.95
+    assert values["hidden"] == "h, h1"
+    assert values["terms"] == ("h_dot**2", "(x-h)**2", "h1_dot**2", "(x-h1)**2")
+
+
+@pytest.mark.thorough
+def test_a_part_is_noticed_where_a_wrong_law_has_bent_the_curve():
+    search, machine = searched("elastic", 832)
+    assert unmeasured_part(search) == []
+    (found,) = unmeasured_part(search, suspect=True)
+    assert found.values["frequency"] == pytest.approx(machine.part / (2.0 * np.pi), rel=0.02)
+
+
+def part_that_leaves(share: float, omegas: list[float]) -> parts._Part:
+    """Parts that leave some share of an equation error."""
+    left = np.tile([1.0, -1.0], 200)
+    part = np.full(400, np.sqrt(1.0 / share - 1.0))
+    return parts._Part(0, np.array([part + left, part]), np.array([[omega, 0.05] for omega in omegas]))
+
+
+@pytest.mark.parametrize(
+    ("share", "turns", "omegas", "contested", "holds"),
+    [
+        (0.4, 13.0, [10.0], False, True),
+        (0.5, 13.0, [10.0], False, False),
+        (0.4, 11.0, [10.0], False, False),
+        (0.2, 11.0, [10.0], False, True),
+        (0.2, 13.0, [10.0], True, False),
+        (0.05, 13.0, [10.0], True, True),
+        (0.2, 13.0, [10.0, 15.0], False, False),
+        (0.05, 13.0, [10.0, 15.0], False, True),
+        (0.05, 13.0, [10.0, 60.0], False, False),
+        (0.05, 13.0, [4.0], False, False),
+    ],
+)
+def test_how_much_a_part_has_to_explain(share, turns, omegas, contested, holds):
+    part = part_that_leaves(share, omegas)
+    assert part.left == pytest.approx(share)
+    assert part.holds((1.0, 5.0), turns * 2.0 * np.pi / min(omegas), contested) is holds
+
+
+def test_a_part_has_to_act_in_every_quarter():
+    part = part_that_leaves(0.05, [10.0])
+    assert part.holds((1.0, 5.0), 60.0, False)
+    whole, force = part.errors
+    weak = replace(part, errors=np.array([np.where(np.arange(whole.size) < 100, 0.5 * force, whole), force]))
+    assert weak.left < 0.15
+    assert weak.size == pytest.approx(0.5)
+    assert not weak.holds((1.0, 5.0), 60.0, False)
 
 
 @pytest.mark.thorough

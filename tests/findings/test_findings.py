@@ -233,6 +233,24 @@ SAID = [
         "la.delay.estimate(..., max_delay=0.02)",
     ),
     (
+        find(
+            "unmeasured-part",
+            "x",
+            frequency=1.24,
+            damping_ratio=0.05,
+            second_frequency=0.62,
+            second_damping_ratio=0.1,
+            explained=0.99,
+            hidden="h, h1",
+            terms=["h_dot**2", "h1_dot**2"],
+            friction="(x_dot-h_dot)**2/2, (x_dot-h1_dot)**2/2",
+        ),
+        "two parts that no sensor measures appear to act on x: resonances at 1.24 Hz (damping ratio 0.05) "
+        "and 0.62 Hz (0.1) explain 99 % of what no other term explains: declare them with "
+        "hidden=['h', 'h1'], and offer 'h_dot**2', 'h1_dot**2' beside the few terms that you expect, with "
+        "the dissipation '(x_dot-h_dot)**2/2', '(x_dot-h1_dot)**2/2'",
+    ),
+    (
         find("rate-scaled", "x", quantity="velocity", factor=-57.3, unit="deg/s"),
         "the measured velocity of x is -57.3 times the derivative of its coordinate (degrees per "
         "second, with the opposite sign?): convert it, or leave it out",
@@ -298,6 +316,9 @@ def test_remedies_speak_of_the_command_line_and_of_the_page():
     assert "act about 100 ms later" in str(later)
     part = find("unmeasured-part", "x", hidden="h", friction="(x-h)**2", terms=["h_dot**2"], explained=0.9)
     assert "FILE of the few terms" in sentence(part, "command line")
+    assert sentence(part, "page").endswith(
+        "as a coordinate without a sensor, and offer h_dot**2 and (x-h)**2"
+    )
     assert "beside the few terms that you expect" in str(part)
     assert "under “Delay of the forces”" in sentence(late, "page")
     missing = find("missing-term", "x", constant_force="x", free_terms=2, angles=["y"])

@@ -104,9 +104,10 @@ def _hide(finding: Finding, choice: Choice, library: Library) -> Iterable[Offer]
     name, terms, friction = (finding.values.get(key) for key in ("hidden", "terms", "friction"))
     if isinstance(name, str) and isinstance(terms, (list, tuple)):
         text = "\n".join([*(term.text for term in library), *map(str, terms)])
-        more = f"{choice.more_friction}\n{friction}".strip()
+        more = "\n".join([choice.more_friction, *str(friction).split(", ")]).strip()
         part = replace(choice, hidden=name, written=True, text=text, more_friction=more)
-        yield Offer(f"Add a part {name} without a sensor", part)
+        several = "parts" if ", " in name else "a part"
+        yield Offer(f"Add {several} {name} without a sensor", part)
 
 
 def _shift_forces(finding: Finding, choice: Choice, library: Library) -> Iterable[Offer]:

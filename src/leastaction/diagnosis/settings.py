@@ -3,7 +3,7 @@
 Each value says its unit, its origin, and what happens at half and at twice the value (of a ratio: at half
 and twice its distance from one), as `benchmarks/thresholds.py` measures on 30 right and wrong set-ups that
 no rule was made for; causes on 8 wrong ones, rates on 32 channels, `cancelling` on 9 and shapes on 6
-recordings, parts on 108 machines, all equations together. "No effect": no finding and no status changes.
+recordings, parts on 108 machines. "No effect": no finding and no status changes.
 """
 
 from __future__ import annotations
@@ -99,21 +99,25 @@ class DiagnosisSettings:
 
     part_explains: float = 0.55
     """Share of what no other term explains that a part without a sensor has to explain. Of 48 machines with
-    one 43 pass, of 60 without 1. Half: 43, 6 without; twice: none."""
+    one 46 pass, of 60 without 2. Half: 46, 5 without; twice: 29, 1 without."""
 
     part_few_turns: float = 0.75
-    """The same where the recordings hold fewer turns than `part_turns`. Half, twice: no effect."""
+    """The same where the recordings hold fewer turns than `part_turns`. Half: no effect; twice: 1 without."""
+
+    part_certain: float = 0.9
+    """The same for two parts, or where another form of L explains as much. Half: 46, 4 without one; twice:
+    45, 2 without."""
 
     part_agrees: float = 0.7
-    """Size of the part in each quarter of the recordings over that in all. Half: 43, 2 without one; twice:
+    """Size of the part in each quarter of the recordings over that in all. Half: 46, 3 without one; twice:
     none."""
 
     part_turns: float = 12.0
-    """Turns of the part in all recordings: each quarter holds three. Half: no effect; twice: 42 of 48."""
+    """Turns of the part in all recordings: each quarter holds three. Half: no effect; twice: 44 of 48."""
 
     part_fastest: float = 4.0
     """Highest frequency of such a part over that of the fastest coordinate. Half and a quarter of it are
-    tried, too, because noise of the accelerations hides parts above. It alone: 37 of 48; without it: 39."""
+    tried, too, because noise of the accelerations hides parts above. It alone: 44 of 48; without it: 42."""
 
     cancelling: float = 5.0
     """Standard deviation of the force of a term over that of all terms of the same coordinates, beyond which

@@ -149,9 +149,9 @@ def _likely_causes(search: Search, effects: Effects, off: bool, suspect: bool) -
     # a new search has one law for all trials, and takes every coordinate as measured
     again = short and not fit.problem.candidates.grouped and not fit.problem.hidden
     if off and again and not any(cause.holds for cause in known):
-        found = _by_search(search)
+        found = _by_search(search, suspect)
     elif again and suspect:
-        found = unmeasured_part(search)
+        found = unmeasured_part(search, suspect)
     if found or not usable:
         return found + [cause.finding for cause in known]
     # Terms imitate each other and wrong coefficients: name the more likely cause of the two.
@@ -166,7 +166,7 @@ def _likely_causes(search: Search, effects: Effects, off: bool, suspect: bool) -
     return found
 
 
-def _by_search(search: Search) -> list[Finding]:
+def _by_search(search: Search, suspect: bool) -> list[Finding]:
     """What a new search finds; causes that need no further term come first."""
     differing = differing_trials(search)
     if differing:  # where a family is imitated, motions of other amplitudes need other coefficients
@@ -181,7 +181,7 @@ def _by_search(search: Search) -> list[Finding]:
         or lacking_family(search)
         or undeclared_angles(search, () if named else problem.coordinates)
         or time_dependence(search)
-        or unmeasured_part(search)
+        or unmeasured_part(search, suspect)
     )
 
 

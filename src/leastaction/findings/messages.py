@@ -52,7 +52,7 @@ CODES: dict[str, Message] = {
         templates.unmeasured_part,
         templates.unmeasured_part_remedy,
         on_command_line=partial(templates.unmeasured_part_remedy, audience="command line"),
-        on_page="name {hidden} as a coordinate without a sensor, and offer {terms} and {friction}",
+        on_page=partial(templates.unmeasured_part_remedy, audience="page"),
     ),
     "unmodelled-friction": Message(
         "warning",

@@ -359,21 +359,31 @@ def trials_differ_remedy(f: dict[str, Any]) -> str:
 
 
 def unmeasured_part(f: dict[str, Any]) -> str:
-    """A part without a sensor, and its resonance, which only known forces determine."""
-    text = "a part that no sensor measures appears to act on {subject}: a resonance "
+    """Parts without a sensor, and their resonances, which only known forces determine."""
+    several = ", " in f["hidden"]
+    text = "{count} that no sensor measures {verb} to act on {subject}: {what} "
+    own = {"count": "two parts", "verb": "appear", "what": "resonances"} if several else {}
+    own = own or {"count": "a part", "verb": "appears", "what": "a resonance"}
     text += "at {frequency:.3g} Hz (damping ratio {damping_ratio:.2g}) " if "frequency" in f else ""
-    return fill(text + "explains {explained:.2g%} of what no other term explains", f)
+    text += "and {second_frequency:.3g} Hz ({second_damping_ratio:.2g}) " if "second_frequency" in f else ""
+    explain = "explain" if several else "explains"
+    return fill(text + explain + " {explained:.2g%} of what no other term explains", {**f, **own})
 
 
 def unmeasured_part_remedy(f: dict[str, Any], audience: Audience = "python") -> str:
-    """How to declare the part; what is to be typed is in quotes."""
-    name, friction = f["hidden"], f["friction"]
+    """How to declare the parts; what is to be typed is in quotes."""
+    names, friction = f["hidden"].split(", "), f["friction"].split(", ")
+    if audience == "page":
+        as_what = "coordinates" if len(names) > 1 else "a coordinate"
+        return fill(f"name {{hidden}} as {as_what} without a sensor, and offer {{terms}} and {{friction}}", f)
     if audience == "command line":
-        options = f'--hidden {name} {_term_options(f["terms"])}, and "{friction}" to --dissipation'
+        options = (
+            f'--hidden {",".join(names)} {_term_options(f["terms"])}, and "{f["friction"]}" to --dissipation'
+        )
         return f"add {options}, with a --library FILE of the few terms that you expect"
-    terms = ", ".join(f"'{text}'" for text in f["terms"])
-    offer = f"offer {terms} beside the few terms that you expect, with the dissipation '{friction}'"
-    return f"declare it with hidden=['{name}'], and {offer}"
+    terms, losses = (", ".join(f"'{text}'" for text in texts) for texts in (f["terms"], friction))
+    offer = f"offer {terms} beside the few terms that you expect, with the dissipation {losses}"
+    return f"declare {'them' if len(names) > 1 else 'it'} with hidden={names!r}, and {offer}"
 
 
 def hidden_coordinate(f: dict[str, Any]) -> str:
