@@ -138,10 +138,11 @@ def _in_band(fit: Fit, motions: list[_Motion], high: float, contested: bool) -> 
         best = far.fitted(band)
         errors = far.driven(np.concatenate([far.at(best), far.swinging(best)]))
         parts.append(_Part(i, errors, np.exp(best[None, :2]), form))
-    passing = [part for part in parts if part.holds(band, sum(lengths), contested)]
-    if not passing:
-        passing = [_resonators(trials, i, other, band, single[k])]
-        passing = [part for part in passing if part.holds(band, sum(lengths), contested)]
+
+    def holding(some: list[_Part]) -> list[_Part]:
+        return [part for part in some if part.holds(band, sum(lengths), contested)]
+
+    passing = holding(parts) or holding([_resonators(trials, i, other, band, single[k])])
     best = min(passing, key=lambda p: p.left * (_HALF if p.form is None else 1.0), default=None)
     return None if best is None else _described(best, fit)
 
