@@ -360,14 +360,12 @@ def trials_differ_remedy(f: dict[str, Any]) -> str:
 
 def unmeasured_part(f: dict[str, Any]) -> str:
     """Parts without a sensor, and their resonances, which only known forces determine."""
-    several = ", " in f["hidden"]
-    text = "{count} that no sensor measures {verb} to act on {subject}: {what} "
-    own = {"count": "two parts", "verb": "appear", "what": "resonances"} if several else {}
-    own = own or {"count": "a part", "verb": "appears", "what": "a resonance"}
+    one = "a part that no sensor measures appears to act on {subject}: a resonance ", "explains"
+    two = "two parts that no sensor measures appear to act on {subject}: resonances ", "explain"
+    text, explain = two if ", " in f["hidden"] else one
     text += "at {frequency:.3g} Hz (damping ratio {damping_ratio:.2g}) " if "frequency" in f else ""
     text += "and {second_frequency:.3g} Hz ({second_damping_ratio:.2g}) " if "second_frequency" in f else ""
-    explain = "explain" if several else "explains"
-    return fill(text + explain + " {explained:.2g%} of what no other term explains", {**f, **own})
+    return fill(text + explain + " {explained:.2g%} of what no other term explains", f)
 
 
 def unmeasured_part_remedy(f: dict[str, Any], audience: Audience = "python") -> str:
