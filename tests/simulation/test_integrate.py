@@ -62,12 +62,33 @@ def test_rk4_does_not_raise_when_a_motion_diverges():
     assert not np.isfinite(q[-1, 1]).all()
 
 
-@pytest.mark.parametrize("bad", [[], [0.0, 0.0], [1.0, 0.5], [0.0, np.nan], [[0.0, 1.0]]])
+def test_rk4_backward_in_time_returns_to_the_start():
+    def driven(q, qdot, force, clock):
+        return force - q - 0.3 * qdot + 0.1 * np.cos(clock)[..., None]
+
+    def push(times):
+        return np.sin(2 * times)[:, None, None]
+
+    t, clock = np.linspace(0.0, 2.0, 41) ** 1.5, np.array([0.0, 5.0])
+    q, qdot = rk4(driven, [[0.2], [1.0]], [[1.0], [0.0]], t, 4, push, clock)
+    back, back_rate = rk4(driven, q[-1], qdot[-1], t[::-1], 4, push, clock)
+    assert np.abs(back[::-1] - q).max() < 1e-7
+    assert np.abs(back_rate[::-1] - qdot).max() < 1e-7
+
+
+@pytest.mark.parametrize(
+    "bad", [[], [0.0, 0.0], [0.0, 1.0, 0.5], [1.0, 0.0, 0.5], [0.0, np.nan], [[0.0, 1.0]]]
+)
 def test_times_are_checked(bad):
     with pytest.raises(InputError, match="t "):
         rk4(spring, [1.0], [0.0], bad)
     with pytest.raises(InputError, match="t "):
         simulate(spring, [1.0], [0.0], bad)
+
+
+def test_a_simulation_does_not_run_backward():
+    with pytest.raises(InputError, match="strictly increasing"):
+        simulate(spring, [1.0], [0.0], [1.0, 0.5])
 
 
 def test_simulate_is_accurate_and_complete():

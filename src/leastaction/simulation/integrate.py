@@ -57,7 +57,7 @@ def rk4(
     q0, qdot0 : array_like, shape (..., n_dof)
         Start at ``t[0]``.
     t : array_like, shape (n_times,)
-        Sample times, seconds, strictly increasing.
+        Sample times, seconds, strictly increasing; strictly decreasing to integrate backward.
     substeps : int
         Equal steps in each interval of ``t``; the error falls with its fourth power.
     forces : callable, optional
@@ -82,7 +82,9 @@ def rk4(
     >>> bool(abs(q[-1, 0] - np.cos(1.0)) < 1e-8)
     True
     """
-    t = check_times(t)
+    t = np.asarray(t, dtype=float)
+    backward = t.ndim == 1 and t.size > 1 and t[-1] < t[0]
+    t = -check_times(-t) if backward else check_times(t)
     if int(substeps) != substeps or substeps < 1:
         raise InputError(f"substeps={substeps!r}; expected a whole number of at least 1")
     q, v = np.broadcast_arrays(np.asarray(q0, dtype=float), np.asarray(qdot0, dtype=float))
