@@ -22,13 +22,15 @@ from leastaction.estimation.grid import Grid
 from leastaction.estimation.structure import Structure
 from leastaction.hidden import band
 from leastaction.hidden.band import curve_errors, errors_with_sensor
-from leastaction.hidden.chain import chain, continued
+from leastaction.hidden.chain import chain, continued, preceding
 from leastaction.hidden.draws import draw_begins, draw_coefficients, scales_of, signs_without, term_sizes
 from leastaction.hidden.gauge import canonical, open_changes, reflections, simpler_forms
 from leastaction.hidden.shooting import Shooter
 from leastaction.hidden.start import completed, law_of
 from leastaction.hidden.windows import cut_windows
 from leastaction.refit import refit
+from leastaction.selection.search_state import equations_hold
+from leastaction.selection.strategies.hidden_start import joined as joined_starts
 
 PENDULUM = systems.get("chaotic_pendulum")
 ROOT = Path(__file__).parents[2]
@@ -308,24 +310,52 @@ def test_a_chain_passes_by_motions_that_diverge(shooting) -> None:
         assert np.median(np.concatenate(chained.jumps)) < 0.05
 
 
-def test_a_motion_is_continued_into_a_window_that_missed_it(shooting) -> None:
+def spoilt_in_one_window(shooting, lost: int):
+    """The true law, and its motions in all windows but one."""
     problem, few, _, true = shooting
     windows = cut_windows(problem, smooth_of(problem), few.windows.seconds, 0.03, None)
     shooter, scales = few.on(windows), scales_of(problem, windows, 1.5)
     begins = draw_begins(scales, problem.hidden, np.random.default_rng(0))[None]
     good = shooter.screen(true[None], begins, 4, 6).of_windows(len(windows))
-    states, lost = good.states.copy(), 2
-    assert windows.trial[lost] == windows.trial[lost - 1]
+    states = good.states.copy()
     states[0, lost, HIDDEN] += 1.5
-    spoilt = replace(
-        good, states=states, deviation=np.where(np.arange(len(windows)) == lost, 1e3, good.deviation)
-    )
-    starts, owner = continued(shooter, spoilt)
-    np.testing.assert_array_equal(starts[0], good.states[0, 0])  # nothing is before the first
-    further = shooter.fit_states(true[None], starts[None], owner, 6)
+    far = np.where(np.arange(len(windows)) == lost, 1e3, good.deviation)
+    return shooter, good, replace(good, states=states, deviation=far)
+
+
+def test_a_motion_is_continued_into_a_window_that_missed_it(shooting) -> None:
+    lost = 2
+    shooter, good, spoilt = spoilt_in_one_window(shooting, lost)
+    windows = shooter.windows
+    assert windows.trial[lost] == windows.trial[lost - 1]
+    further = continued(shooter, spoilt, 6)
+    np.testing.assert_allclose(further.states[0, 0], good.states[0, 0], atol=1e-3)  # it has none before it
     both = spoilt.beside(further, len(windows)).of_windows(len(windows))
     np.testing.assert_allclose(both.states[0, lost], good.states[0, lost], atol=1e-3)
     assert both.deviation[0, lost] < 2.0 * good.deviation[0, lost] + 1e-6
+
+
+def test_a_motion_is_followed_backward_into_a_window_that_missed_it(shooting) -> None:
+    """No window is before the first, but the second leads to it."""
+    shooter, good, spoilt = spoilt_in_one_window(shooting, 0)
+    n_windows = len(shooter.windows)
+    assert shooter.windows.trial[0] == shooter.windows.trial[1]
+    both = spoilt.beside(preceding(shooter, spoilt, 6, 2), n_windows).of_windows(n_windows)
+    np.testing.assert_allclose(both.states[0, 0], good.states[0, 0], atol=1e-3)
+    assert both.deviation[0, 0] < 2.0 * good.deviation[0, 0] + 1e-6
+
+
+def test_windows_backward_have_the_same_motions(shooting) -> None:
+    """Known forces and the clock included."""
+    problem, few, _, true = shooting
+    windows = cut_windows(problem, smooth_of(problem), few.windows.seconds, 0.005, None)
+    times = windows.begin + np.linspace(0.0, windows.seconds, 2 * windows.nodes.size - 1)[:, None]
+    shooter = few.on(replace(windows, forces=0.5 * np.sin(3.0 * times)[..., None] * np.array([1.0, -2.0])))
+    owner = np.arange(len(windows))
+    given, rng = np.repeat(true[:, None], owner.size, axis=1), np.random.default_rng(2)
+    motions = shooter.motions(rng.normal(size=(owner.size, 4)), given, owner)
+    back = shooter.on(shooter.windows.backward()).motions(motions[-1], given, owner)
+    np.testing.assert_allclose(back[::-1], motions, atol=1e-5)
 
 
 def test_more_motions_are_found_if_the_horizon_grows() -> None:
@@ -425,6 +455,31 @@ def test_the_joint_fit_recovers_law_and_motion(pendulum) -> None:
     assert fit.position_std[0] > 0.0
     for curve, motion in zip(fit.curves(), truth, strict=True):
         assert np.abs(curve - motion.q)[:, HIDDEN].max() < 0.02
+
+
+@pytest.mark.parametrize(("noise", "off"), [(0.01, 0.3), (0.05, 0.1)])
+def test_motions_in_windows_are_joined_to_one_that_obeys_the_law(noise, off) -> None:
+    """From a motion that jumps by 0.3 twice a second, and a law that is off by up to 30 %."""
+    truth, setup = set_up(noise=noise)
+    problem, rng = setup.problem, np.random.default_rng(1)
+    structure, true = Structure(problem.free), true_coefficients(problem)
+    given = np.where(np.isnan(problem.known), true * (1.0 + off * rng.choice([-1.0, 1.0], true.size)), true)
+    items = []
+    for run, motion in zip(problem.trajectories, truth, strict=True):
+        jumps = np.repeat(rng.normal(0.0, 0.3, 1 + run.n_times // 25), 25)[: run.n_times]
+        q = run.q.copy()
+        q[:, HIDDEN] = motion.q[:, HIDDEN] + jumps
+        items.append(run.changed(q=q))
+    grid = Grid.lay(problem, 25.0)
+    curve = grid.posed(problem.on(Trajectories(items))).smooth()
+    noise_std = np.where(np.arange(2) == HIDDEN, 1.0, curve.noise_std)
+    start = grid.start(structure, curve.control_points, given, noise_std)
+    assert not equations_hold(grid.fit(structure, start))  # which is why they are joined
+    early, late = (grid.fit(structure, begun) for begun in joined_starts(grid, structure, start))
+    for fit in (early, late):
+        assert fit.converged
+        assert equations_hold(fit)
+        assert np.all(np.abs(fit.estimates - true[list(fit.structure)]) < 4.0 * fit.standard_errors)
 
 
 def test_the_band_is_that_of_the_full_inverse(pendulum) -> None:
@@ -638,6 +693,20 @@ def test_a_pendulum_without_one_encoder_is_found(hidden) -> None:
     assert "hidden-coordinate" in codes
     assert "hidden-gauge" not in codes
     again_is_the_same(model)
+
+
+@pytest.mark.thorough
+def test_a_motion_between_magnets_is_found_behind_noise() -> None:
+    """Ten per cent: windows are on wrong branches at first, and motions jump."""
+    system = systems.get("magnetic_pendulum")
+    truth = systems.simulate_truth(system, trials=5, duration=20.0, rate=100.0, seed=17)
+    data = systems.measure(system, truth, systems.noise_std(system, truth, 0.1), seed=17)
+    hidden = [run.changed(q=np.where(np.arange(2) == 1, np.nan, run.q)) for run in data]
+    library = la.Library(list(system.lagrangian), system.coordinates)
+    model = la.discover(hidden, library, known=system.known, hidden=["y"])
+    assert model.fit.status == "ok"
+    for term in model.terms:
+        assert abs(term.coefficient - system.lagrangian[term.expression]) <= 4.0 * term.standard_error
 
 
 @pytest.mark.thorough

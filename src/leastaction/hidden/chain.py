@@ -7,15 +7,16 @@ programming finds it (Viterbi 1967, IEEE Trans. Inf. Theory 13:260).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 
 from leastaction.hidden.draws import Scales
 from leastaction.hidden.shooting import Shooter, Solutions
+from leastaction.hidden.windows import Windows
 
-__all__ = ["Chained", "chain", "continued"]
+__all__ = ["Chained", "chain", "continued", "preceding"]
 
 _SMALL = 0.02  # of a scale: smaller jumps between windows are ignored
 
@@ -36,6 +37,11 @@ class Chained:
     values: list[np.ndarray]
     jumps: list[np.ndarray]
     chosen: Solutions
+
+    @property
+    def jump(self) -> float:
+        """The largest jump."""
+        return max((float(own.max()) for own in self.jumps if own.size), default=0.0)
 
 
 @np.errstate(all="ignore")  # motions may diverge: their states are huge or not finite, and on no path
@@ -77,17 +83,71 @@ def chain(shooter: Shooter, found: Solutions, scales: Scales, times: list[np.nda
 
 
 @np.errstate(all="ignore")
-def continued(shooter: Shooter, found: Solutions) -> tuple[np.ndarray, np.ndarray]:
-    """States at the starts of windows to which the solutions of the window before lead, and their windows.
+def continued(shooter: Shooter, found: Solutions, rounds: int) -> Solutions:
+    """Solutions of windows that follow from those of the window before.
 
-    The first window of a trajectory has its own solutions.
+    They are fitted from the states to which those lead. The first window of a trajectory starts from its own
+    solutions.
+
+    Parameters
+    ----------
+    shooter : Shooter
+    found : Solutions
+        One set of coefficients, with several solutions of each window.
+    rounds : int
+        Steps of the fit.
     """
     windows, motions = shooter.windows, _motions(shooter, found)
     states = motions[:, :, 0].copy()
-    for k in np.flatnonzero(np.diff(windows.trial) == 0) + 1:
-        ends = _at(windows.nodes, motions[k - 1], windows.begin[k] - windows.begin[k - 1])
-        states[k] = np.where(np.isfinite(ends).all(axis=1, keepdims=True), ends, states[k])
-    return states.reshape(-1, states.shape[-1]), np.repeat(np.arange(len(windows)), motions.shape[1])
+    for k in _with_next(windows):
+        ends = _at(windows.nodes, motions[k], windows.begin[k + 1] - windows.begin[k])
+        states[k + 1] = _where_finite(ends, states[k + 1])
+    states, owner = _in_rows(states)
+    return shooter.fit_states(found.coefficients, states[None], owner, rounds)
+
+
+@np.errstate(all="ignore")
+def preceding(shooter: Shooter, found: Solutions, rounds: int, doublings: int) -> Solutions:
+    """Solutions of windows that lead to those of the window after.
+
+    They are fitted backward in time from their ends, over a horizon that doubles until it is the whole
+    window. The last window of a trajectory starts from the ends of its own solutions.
+
+    Parameters
+    ----------
+    shooter, found
+        As for `continued`.
+    rounds, doublings : int
+        As for `Shooter.screen`.
+    """
+    windows, motions = shooter.windows, _motions(shooter, found)
+    ends = motions[:, :, -1].copy()
+    for k in _with_next(windows):
+        late = windows.begin[k] + windows.seconds - windows.begin[k + 1]
+        ends[k] = _where_finite(_at(windows.nodes, motions[k + 1], late), ends[k])
+    states, owner = _in_rows(ends)
+    backward = shooter.on(windows.backward())
+    fitted = replace(found, states=states[None])
+    for further in range(doublings, -1, -1):
+        part = backward.on(backward.windows.until(0.5**further))
+        fitted = part.fit_states(found.coefficients, fitted.states, owner, rounds)
+    given = np.repeat(found.coefficients, owner.size, axis=0).T
+    return replace(fitted, states=backward.motions(fitted.states[0], given, owner)[None, -1])
+
+
+def _with_next(windows: Windows) -> list[int]:
+    """Windows after which another one of the same trajectory begins."""
+    return np.flatnonzero(np.diff(windows.trial) == 0).tolist()
+
+
+def _where_finite(states: np.ndarray, others: np.ndarray) -> np.ndarray:
+    return np.where(np.isfinite(states).all(axis=1, keepdims=True), states, others)
+
+
+def _in_rows(states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(n_windows · n_solutions, n) states of (n_windows, n_solutions, n), and their windows."""
+    owner = np.repeat(np.arange(len(states)), states.shape[1])
+    return states.reshape(-1, states.shape[-1]), owner
 
 
 def _motions(shooter: Shooter, found: Solutions) -> np.ndarray:

@@ -55,8 +55,13 @@ class HiddenSettings:
     """Steps of a fit of initial states, on each horizon."""
 
     branches: int = 8
-    """Motions of each window from which the path is chosen, and as many from the window before. With
-    four or sixteen, all windows of seven data sets of five simulated systems are on the right branch, too."""
+    """Motions of each window from which the path is chosen, and as many from the windows before and after.
+    With four or sixteen, all windows of seven data sets of five simulated systems are on the right branch,
+    too."""
+
+    jump: float = 0.2
+    """Largest jump of a motion, in scales of the hidden state, at which no more are searched for. With 10 %
+    noise, motions of the magnetic pendulum on the right branches jump by at most 0.2, others by up to 2."""
 
     step: float = 0.02
     """Longest step of the integration, in periods. Its error is far below that of the start values."""

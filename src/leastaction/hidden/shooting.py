@@ -28,7 +28,7 @@ __all__ = ["Shooter", "Solutions"]
 _LOST = 1e6  # deviation of a motion that diverges
 _STEEPEST = 1e11  # slope of a deviation; steeper ones are those of motions that diverge
 _FIRST_DAMPING = 1e-2  # relative to the diagonal
-_MOST_NUMBERS = 2**24  # in the motions of one batch; bounds the memory
+_MOST_NUMBERS = 2**20  # in the motions of one batch: its arrays stay in the cache of a processor
 _MOST_CHANGE = 0.5  # of a coefficient, in one step
 _TINY = 1e-300  # added to divisors that may vanish
 _LEAST_VARIANCE = 1e-2  # of deviations, in their scale; smaller ones are rounding
@@ -68,14 +68,15 @@ class Solutions:
         kept = self.typical <= closely
         return Solutions(self.coefficients[kept], self.states[kept], self.deviation[kept])
 
-    def of_windows(self, n_windows: int) -> Solutions:
-        """The best solution of each window, where there are several."""
+    def of_windows(self, n_windows: int, kept: int = 1) -> Solutions:
+        """The best solutions of each window, where there are more."""
         n_sets = len(self.coefficients)
         deviation = self.deviation.reshape(n_sets, n_windows, -1)
-        first = deviation.argmin(axis=-1)[..., None]
+        first = np.argsort(deviation, axis=-1, kind="stable")[..., :kept]
         states = self.states.reshape(*deviation.shape, -1)
-        states = np.take_along_axis(states, first[..., None], axis=2)[:, :, 0]
-        return Solutions(self.coefficients, states, np.take_along_axis(deviation, first, axis=2)[..., 0])
+        states = np.take_along_axis(states, first[..., None], axis=2).reshape(n_sets, -1, states.shape[-1])
+        deviation = np.take_along_axis(deviation, first, axis=2).reshape(n_sets, -1)
+        return Solutions(self.coefficients, states, deviation)
 
     def beside(self, other: Solutions, n_windows: int) -> Solutions:
         """Several solutions of each window, and those of another, of the same coefficients."""

@@ -24,7 +24,7 @@ from leastaction.data.trajectories import Trajectories, Trajectory
 from leastaction.estimation.hidden import knots_of_all, lacking
 from leastaction.estimation.problem import Problem
 from leastaction.estimation.structure import Structure
-from leastaction.hidden.chain import Chained, chain, continued
+from leastaction.hidden.chain import Chained, chain, continued, preceding
 from leastaction.hidden.draws import draw_begins, draw_coefficients, scales_of, signs_without, term_sizes
 from leastaction.hidden.gauge import canonical
 from leastaction.hidden.settings import HIDDEN
@@ -47,11 +47,14 @@ class HiddenStart:
         Hidden coordinates at the samples of each trajectory.
     confirmed : bool
         Whether two independent draws led to the same law, or one law stands out.
+    jump : float
+        Largest jump of the motion between windows, in scales of the hidden state.
     """
 
     coefficients: np.ndarray
     motions: list[np.ndarray]
     confirmed: bool
+    jump: float
 
     def in_place(self, problem: Problem) -> Trajectories:
         """The data, with this motion for the hidden coordinates."""
@@ -164,7 +167,7 @@ def _started(hunt: _Hunt, given: np.ndarray, confirmed: bool) -> HiddenStart:
         column = problem.hidden.index(change.coordinate)
         for motion in motions:
             motion[:, column] = change.moved(motion[:, column])
-    return HiddenStart(coefficients, motions, confirmed)
+    return HiddenStart(coefficients, motions, confirmed, chained.jump)
 
 
 class _Hunt:
@@ -232,34 +235,48 @@ class _Hunt:
 
         Motions are chained, fitted with all coefficients including dissipation, and chained again.
         """
-        members = self.all_members
-        shooter = Shooter(law_of(self.problem, members), self.windows(HIDDEN.last[0], None), self.scales.unit)
+        members, shooter = self.all_members, self._shooter()
         values = np.zeros(len(self.problem.candidates))
         values[self.members] = given.coefficients[0]
-        given = Solutions(values[None, members], given.states, given.deviation)
-        times = [t.t for t in self.problem.trajectories]
-        for final in (False, True):
-            chained = self._along(shooter, given.coefficients, times)
-            if not final:
-                given = shooter.fit(chained.chosen, self.sizes[members], HIDDEN.last[3])
-        values[members] = given.coefficients[0]
-        return values, chained
+        found = self._branches(shooter, values[None, members])
+        fitted = shooter.fit(self._chained(shooter, found).chosen, self.sizes[members], HIDDEN.last[3])
+        values[members] = fitted.coefficients[0]
+        return values, self._along(shooter, replace(found, coefficients=fitted.coefficients))
 
     def followed(self, coefficients: np.ndarray) -> Chained:
         """The motion of a law along every trajectory, its (1, n_members) coefficients held."""
-        mechanics = law_of(self.problem, self.all_members)
-        shooter = Shooter(mechanics, self.windows(HIDDEN.last[0], None), self.scales.unit)
-        return self._along(shooter, coefficients, [t.t for t in self.problem.trajectories])
+        shooter = self._shooter()
+        return self._along(shooter, self._branches(shooter, coefficients))
 
-    def _along(self, shooter: Shooter, coefficients: np.ndarray, times: list[np.ndarray]) -> Chained:
-        """The motion of a law, from many start values of each window and from the end of the one before."""
-        rounds = 2 * HIDDEN.state_rounds
-        begins, doublings = self._begins()[None], _doublings(HIDDEN.last[0])
-        found = shooter.screen(coefficients, begins, HIDDEN.branches, rounds, doublings)
-        states, owner = continued(shooter, found)
-        further = shooter.fit_states(coefficients, states[None], owner, rounds)
-        both = found.beside(further, len(shooter.windows))
-        return chain(shooter, both, self.scales, times)
+    def _along(self, shooter: Shooter, near: Solutions) -> Chained:
+        """The motion of a law, from solutions near its own; if it jumps, more are searched for."""
+        n_windows = len(shooter.windows)
+        best = near.of_windows(n_windows, HIDDEN.branches)
+        owner = np.repeat(np.arange(n_windows), best.deviation.shape[1] // n_windows)
+        found = shooter.fit_states(best.coefficients, best.states, owner, _ROUNDS)
+        found = found.beside(preceding(shooter, found, _ROUNDS, _DOUBLINGS), n_windows)
+        chained = self._chained(shooter, found)
+        if chained.jump > HIDDEN.jump:
+            found = found.beside(self._branches(shooter, best.coefficients), n_windows)
+            best = found.of_windows(n_windows, HIDDEN.branches)
+            found = found.beside(continued(shooter, best, _ROUNDS), n_windows)
+            found = found.beside(preceding(shooter, best, _ROUNDS, _DOUBLINGS), n_windows)
+            chained = self._chained(shooter, found)
+        return chained
+
+    def _branches(self, shooter: Shooter, coefficients: np.ndarray) -> Solutions:
+        """Motions of a law in every window: from many start values, and from the end of the one before."""
+        begins = self._begins()[None]
+        found = shooter.screen(coefficients, begins, HIDDEN.branches, _ROUNDS, _DOUBLINGS)
+        return found.beside(continued(shooter, found, _ROUNDS), len(shooter.windows))
+
+    def _chained(self, shooter: Shooter, found: Solutions) -> Chained:
+        return chain(shooter, found, self.scales, [t.t for t in self.problem.trajectories])
+
+    def _shooter(self) -> Shooter:
+        """Motions of all terms, in windows that cover every trajectory."""
+        law = law_of(self.problem, self.all_members)
+        return Shooter(law, self.windows(HIDDEN.last[0], None), self.scales.unit)
 
     def _begins(self) -> np.ndarray:
         return draw_begins(self.scales, self.problem.hidden, self.rng)
@@ -280,6 +297,10 @@ def law_of(problem: Problem, members: Sequence[int]) -> Mechanics:
 def _doublings(factor: float) -> int:
     """How often the first horizon doubles to be ``factor`` times as long."""
     return round(np.log2(factor))
+
+
+_ROUNDS = 2 * HIDDEN.state_rounds  # steps of a fit of states where motions are chained
+_DOUBLINGS = _doublings(HIDDEN.last[0])  # of their horizon
 
 
 def _joined(one: Solutions, other: Solutions) -> Solutions:

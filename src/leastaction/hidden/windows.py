@@ -61,6 +61,12 @@ class Windows:
         q, qdot = self.q[:, :count], self.qdot[:, :count]
         return replace(self, nodes=self.nodes[:count], q=q, qdot=qdot, forces=forces)
 
+    def backward(self) -> Windows:
+        """The same windows from their ends to their starts; nodes are negative."""
+        begin, forces = self.begin + self.seconds, None if self.forces is None else self.forces[::-1]
+        q, qdot = self.q[:, ::-1], self.qdot[:, ::-1]
+        return replace(self, begin=begin, nodes=-self.nodes, q=q, qdot=qdot, forces=forces)
+
 
 def cut_windows(problem: Problem, smooth: Smooth, seconds: float, step: float, most: int | None) -> Windows:
     """Cut the smoothed motion into windows.

@@ -6,7 +6,9 @@ Without it there is no curve to begin with.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -26,25 +28,35 @@ from leastaction.hidden.start import HiddenStart, find_start, follow_again
 from leastaction.selection.likelihood_refinement import refine, value
 from leastaction.selection.search_state import Search, equations_hold
 
-__all__ = ["in_simplest_form", "run"]
-
-_Fitted = tuple[Fit, Smooth]  # a fit, and the smooth curve through samples and motion that it began with
+__all__ = ["in_simplest_form", "joined", "run"]
 
 _ATTEMPTS = 2  # most searches for a law
+_MOTIONS = 3  # most searches for the motion with the law of a fit
+_SMOOTH = 0.05  # largest jump of a motion that is on the right branches, in scales of the hidden state
+_VISIBLE = 2.0  # degrees of freedom of the equation error, below which none is visible
+_LIKELIER = 1.0  # gain in log evidence that makes one more search worth while
 _FORMS = 3  # forms of a law that are fitted, at most
 _SAME = 1.0  # log likelihood by which two fits of one law in two forms may differ
-_FACTOR = 10.0  # by which the weights rise in a step
-_HELD = 2  # first steps, in which coefficients are held
+_HELD = 2  # number of the step in which coefficients are released early
+_FACTOR = 10.0  # by which the weights change in a step
 _MOST_STEPS = 12  # limit on steps
-_WORSE = 3  # successive steps of lower evidence that end the loop
+_WORSE = 3  # successive steps of lower evidence that end a loop
 _FINER = 3.0  # largest factor by which knots exceed those for the measured motion
+
+
+class _Fitted(NamedTuple):
+    """A fit with what it began with: the curve through samples and motion, and the jump of the motion."""
+
+    fit: Fit
+    curve: Smooth
+    jump: float
 
 
 def run(search: Search) -> Search:
     """The best structure on the first grid, from that of all candidates at a start that is searched for.
 
     If its equations do not hold, some trials may be on a wrong branch of the hidden coordinate. The motion is
-    then searched for once more, with the law that was found; after that the law, too, from other draws. The
+    then searched for again, with the law that was found; after that the law, too, from other draws. The
     likeliest fit stays.
     """
     problem, period = search.problem, search.scales.period
@@ -53,14 +65,11 @@ def run(search: Search) -> Search:
     for attempt in range(_ATTEMPTS):
         found = find_start(problem, structure, search.curve, period, search.seed + attempt)
         confirmed = confirmed or found.confirmed
-        best = _likelier(best, _fitted(search, structure, found, best))
-        if not _holds(best[0]):
-            again = follow_again(problem, structure, search.curve, period, best[0].coefficients)
-            best = _likelier(best, _fitted(search, structure, again, best))
-        if _holds(best[0]):
+        best = _followed(search, structure, _likelier(best, _fitted(search, structure, found, best)))
+        if _holds(best.fit):
             break
     assert best is not None
-    fit, curve = refine(best[0], search.report), best[1]
+    fit, curve = refine(best.fit, search.report), best.curve
     scales = search.scales._replace(smooth=curve, per_second=fit.grid.knots_per_second)
     names = [problem.coordinates[i] for i in problem.hidden]
     findings = search.findings if confirmed else (*search.findings, find("hidden-start-unconfirmed", names))
@@ -84,16 +93,34 @@ def in_simplest_form(search: Search) -> Search:
     return search.now(fit)
 
 
+def _followed(search: Search, structure: Structure, best: _Fitted) -> _Fitted:
+    """The likeliest fit, from motions of the law of the fit before, as long as that makes it likelier.
+
+    A fit whose equations hold is followed, too, if its motion jumped and some equation error is visible: its
+    curve may still change branches at an instant.
+    """
+    problem, period = search.problem, search.scales.period
+    for _ in range(_MOTIONS):
+        sure = best.jump <= _SMOOTH or bool(np.all(best.fit.weights.slack < _VISIBLE))
+        if sure and _holds(best.fit):
+            break
+        again = follow_again(problem, structure, search.curve, period, best.fit.coefficients)
+        before, best = best, _likelier(best, _fitted(search, structure, again, best))
+        if not best.fit.evidence > before.fit.evidence + _LIKELIER:
+            break
+    return best
+
+
 def _holds(fit: Fit) -> bool:
     """Whether the equations hold, and not because their coefficients are about to vanish."""
-    return bool(np.isfinite(fit.evidence)) and equations_hold(fit)
+    return fit.converged and bool(np.isfinite(fit.evidence)) and equations_hold(fit)
 
 
 def _likelier(one: _Fitted | None, other: _Fitted) -> _Fitted:
     """The fit of higher evidence; both are on one grid."""
-    if one is None or not one[0].usable:
+    if one is None or not one.fit.usable:
         return other
-    return other if other[0].usable and other[0].evidence > one[0].evidence else one
+    return other if other.fit.usable and other.fit.evidence > one.fit.evidence else one
 
 
 def _fitted(search: Search, structure: Structure, found: HiddenStart, before: _Fitted | None) -> _Fitted:
@@ -101,13 +128,19 @@ def _fitted(search: Search, structure: Structure, found: HiddenStart, before: _F
     problem = search.problem
     completed = found.in_place(problem)
     if before is not None:
-        grid = before[0].grid
+        grid = before.fit.grid
     else:  # a hidden coordinate may be faster than what is measured
         wanted, least = lay_knots(completed, problem.degree).per_second, search.scales.per_second
         grid = Grid.lay(search.searched, min(max(wanted, least), _FINER * least))
     curve = _smoothed(grid, completed)
     start = grid.start(structure, curve.control_points, found.coefficients, curve.noise_std)
-    return grid.fit(structure, _drawn_together(grid, structure, start)), curve
+    best: _Fitted | None = None
+    for begun in joined(grid, structure, start):
+        best = _likelier(best, _Fitted(grid.fit(structure, begun), curve, found.jump))
+        if _holds(best.fit):
+            break
+    assert best is not None  # there is at least one start
+    return best
 
 
 @np.errstate(over="ignore", invalid="ignore")  # a motion of a wrong law may be huge
@@ -118,36 +151,82 @@ def _smoothed(grid: Grid, completed: Trajectories) -> Smooth:
     return replace(curve, noise_std=np.where(unseen, 1.0, curve.noise_std))
 
 
-def _drawn_together(grid: Grid, structure: Structure, start: Start) -> Start:
+def joined(grid: Grid, structure: Structure, start: Start) -> Iterator[Start]:
     """Join the motions of single windows to one that obeys the law, by raising the weight of the equations.
 
     The motion in windows has jumps. With weights estimated from it, the equations look inexact, and
-    coefficients fitted with these weights diverge. The coefficients are therefore held in the first steps.
-    The weights rise tenfold from step to step, and the curve follows. The step of the highest evidence is
-    returned.
+    coefficients fitted with these weights diverge. Coefficients are therefore held while the weights rise.
+    For the first start they are released early, and the weights go on rising: this corrects a law that is far
+    off. For the second they are released where the curve follows no further, and the weights fall again: by
+    then most jumps are gone.
+
+    Parameters
+    ----------
+    grid : Grid
+    structure : Structure
+    start : Start
+        Coefficients of a law, and the curve through samples and motion.
     """
-    observations, (physics, index) = grid.observations, grid.physics(structure)
+    physics, index = grid.physics(structure)
     held = Physics(physics.columns, np.zeros_like(physics.free), physics.forces)
     values = grid.problem.completed(start.coefficients)[index]
-    best, highest, worse = start, -np.inf, 0
-    weights, points = start.weights, start.control_points
-    for step in range(_MOST_STEPS):
+    rising = _rising(grid.observations, held, start, values)
+    for step, factor in ((_HELD, _FACTOR), (len(rising) - 1, 1.0 / _FACTOR)):
+        if 0 <= step < len(rising):
+            best = _released(grid.observations, (held, physics), rising[step], values, factor)
+            coefficients = start.coefficients.copy()
+            coefficients[index] = best.coefficients
+            yield Start(best.control_points, coefficients, best.weights)
+    if not rising:
+        yield start
+
+
+def _rising(observations: Measurements, held: Physics, start: Start, values: np.ndarray) -> list[JointFit]:
+    """Fits of the curve to a law whose weight rises from one to the next, as far as it follows."""
+    fits: list[JointFit] = []
+    followed, highest, worse = 0, -np.inf, 0
+    points, weights = start.control_points, start.weights
+    for _ in range(_MOST_STEPS):
         found = fit_joint(observations, held, weights, points, values, tolerance=1.0)
         if not found.usable:
             break
-        if step >= _HELD:
-            own = _with_slack(observations, found)
-            free = fit_joint(observations, physics, own, found.control_points, values, tolerance=1.0)
-            found = free if free.usable else found
-        points, values, value = found.control_points, found.coefficients, evidence(observations, found)
-        worse += 1
-        if value > highest:
-            coefficients = start.coefficients.copy()
-            coefficients[index] = values
-            best, highest, worse = Start(points, coefficients, found.weights), value, 0
+        fits.append(found)
+        followed = len(fits) if found.converged or not followed else followed
+        value = evidence(observations, found)
+        highest, worse = (value, 0) if value > highest else (highest, worse + 1)
         if worse == _WORSE:
             break
-        weights = replace(weights, physics=_FACTOR * weights.physics)
+        points, weights = found.control_points, replace(weights, physics=_FACTOR * weights.physics)
+    return fits[:followed]
+
+
+def _released(
+    observations: Measurements,
+    laws: tuple[Physics, Physics],
+    begun: JointFit,
+    values: np.ndarray,
+    factor: float,
+) -> JointFit:
+    """The fit of the highest evidence with free coefficients, while the weight of the equations changes.
+
+    ``laws`` are the equations with held and with free coefficients, ``begun`` is a fit with held ones.
+    """
+    held, physics = laws
+    found, weights = begun, begun.weights
+    best, highest, worse = begun, -np.inf, 0
+    for _ in range(_MOST_STEPS):
+        own = _with_slack(observations, found)
+        free = fit_joint(observations, physics, own, found.control_points, values, tolerance=1.0)
+        found = free if free.usable else found
+        value, worse = evidence(observations, found), worse + 1
+        if value > highest:
+            best, highest, worse = found, value, 0
+        if worse == _WORSE:
+            break
+        values, weights = found.coefficients, replace(weights, physics=factor * weights.physics)
+        found = fit_joint(observations, held, weights, found.control_points, values, tolerance=1.0)
+        if not found.usable:
+            break
     return best
 
 
