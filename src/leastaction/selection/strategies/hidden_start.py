@@ -55,9 +55,9 @@ class _Fitted(NamedTuple):
 def run(search: Search) -> Search:
     """The best structure on the first grid, from that of all candidates at a start that is searched for.
 
-    If its equations do not hold, some trials may be on a wrong branch of the hidden coordinate. The motion is
-    then searched for again, with the law that was found; after that the law, too, from other draws. The
-    likeliest fit stays.
+    If the fit does not converge, its equations do not hold, or its motion jumped, some trials may be on a
+    wrong branch of the hidden coordinate. The motion is then searched for again, with the law of the fit. If
+    the equations still do not hold, the law is, too, from other draws. The likeliest fit stays.
     """
     problem, period = search.problem, search.scales.period
     structure = Structure(problem.free)
@@ -112,7 +112,7 @@ def _followed(search: Search, structure: Structure, best: _Fitted) -> _Fitted:
 
 
 def _holds(fit: Fit) -> bool:
-    """Whether the equations hold, and not because their coefficients are about to vanish."""
+    """Whether a fit converged and its equations hold, not because their coefficients are about to vanish."""
     return fit.converged and bool(np.isfinite(fit.evidence)) and equations_hold(fit)
 
 
