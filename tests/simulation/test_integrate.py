@@ -56,6 +56,19 @@ def test_rk4_with_forces_and_uneven_times():
     assert qdot[0, 0] == 1.0
 
 
+def test_rk4_keeps_single_precision_and_integrates_all_else_in_double():
+    single, double = (np.array([[1.0], [0.3]], dtype) for dtype in (np.float32, np.float64))
+    push = lambda times: np.sin(times)[:, None, None]  # noqa: E731
+    forced = lambda q, v, f, t: f - q * t[:, None].astype(q.dtype)  # noqa: E731
+    clock = np.array([0.0, 1.0])
+    few = rk4(forced, single, 0 * single, T, 2, push, clock)
+    many = rk4(forced, double, 0 * double, T, 2, push, clock)
+    assert {part.dtype for part in few} == {np.dtype(np.float32)}
+    np.testing.assert_allclose(few, many, atol=1e-5)
+    for whole in (np.int16, np.float16):
+        assert rk4(spring, np.array([1], whole), [0.0], T)[0].dtype == np.float64
+
+
 def test_rk4_does_not_raise_when_a_motion_diverges():
     q, _ = rk4(lambda q, v, f: q**5, [[1.0], [30.0]], [[0.0], [0.0]], np.linspace(0, 0.5, 6), 5)
     assert np.isfinite(q[:, 0]).all()

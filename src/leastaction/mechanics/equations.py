@@ -257,7 +257,7 @@ class Mechanics:
         n = self.n_dof
         with np.errstate(all="ignore"):
             values = iter(self._equations_function(*self._columns(q, qdot, t), *parameters))
-        mass, right = np.empty((*q.shape, n)), np.empty(q.shape)
+        mass, right = np.empty((*q.shape, n), _real(q)), np.empty(q.shape, _real(q))
         for i, j in product(range(n), repeat=2):
             mass[..., i, j] = next(values)
         for i in range(n):
@@ -282,7 +282,7 @@ class Mechanics:
         function = self._all_slopes_function if of_parameters else self._slopes_function
         with np.errstate(all="ignore"):
             values = function(*self._columns(q, qdot, t), *held, *parameters)
-        out = np.empty((*q.shape, len(values) // self.n_dof))
+        out = np.empty((*q.shape, len(values) // self.n_dof), _real(q))
         for k, value in enumerate(values):
             out[(..., *divmod(k, out.shape[-1]))] = value
         return out
@@ -304,7 +304,7 @@ class Mechanics:
             mass, right = self.mass_and_right(q, qdot, parameters, t)
             return solve(mass, (right if forces is None else right + forces)[..., None])[..., 0]
         # Simulations call this for few states at a time; columns then take half the time of matrices.
-        out = np.empty(q.shape if forces is None else np.broadcast(q, forces).shape)
+        out = np.empty(q.shape if forces is None else np.broadcast(q, forces).shape, _real(q))
         with np.errstate(all="ignore"):
             values = self._equations_function(*self._columns(q, qdot, t), *parameters)
             right = values[self.n_dof**2 :]
@@ -341,6 +341,11 @@ class Mechanics:
         with np.errstate(all="ignore"):
             values = function(*self._columns(q, qdot, t))
         return np.array([np.broadcast_to(value, q.shape[:-1]) for value in values], dtype=float)
+
+
+def _real(values: np.ndarray) -> np.dtype:
+    """Single precision for values in it, double precision for other numbers."""
+    return np.result_type(values, np.float32)
 
 
 def solve(mass: np.ndarray, right: np.ndarray) -> np.ndarray:

@@ -72,7 +72,7 @@ def rk4(
     Returns
     -------
     q, qdot : ndarray, shape (n_times, ..., n_dof)
-        NaN or inf after a motion diverges; no exception is raised.
+        NaN or inf after a motion diverges; no exception is raised. In single precision if the start is.
 
     Examples
     --------
@@ -87,14 +87,16 @@ def rk4(
     t = -check_times(-t) if backward else check_times(t)
     if int(substeps) != substeps or substeps < 1:
         raise InputError(f"substeps={substeps!r}; expected a whole number of at least 1")
-    q, v = np.broadcast_arrays(np.asarray(q0, dtype=float), np.asarray(qdot0, dtype=float))
+    q, v = np.broadcast_arrays(np.asarray(q0), np.asarray(qdot0))
+    dtype = np.float32 if q.dtype == v.dtype == np.float32 else np.float64
+    q, v = q.astype(dtype), v.astype(dtype)
     n_steps = (t.size - 1) * substeps
     edges = np.interp(np.arange(2 * n_steps + 1) / (2 * substeps), np.arange(t.size), t)
     # All forces in advance: one vectorised call costs less than four small ones in every step.
-    table = None if forces is None else np.asarray(forces(edges), dtype=float)
+    table = None if forces is None else np.asarray(forces(edges), dtype)
     if step is not None:
         return _one_by_one(step, q, v, substeps, edges, table, clock)
-    out_q, out_v = np.empty((t.size, *q.shape)), np.empty((t.size, *q.shape))
+    out_q, out_v = np.empty((2, t.size, *q.shape), dtype)
     out_q[0], out_v[0] = q, v
     with np.errstate(all="ignore"):
         for k in range(n_steps):
@@ -103,7 +105,7 @@ def rk4(
             pushes = [(None,)] * 3 if table is None else [(f,) for f in table[stages]]
             if clock is not None:
                 pushes = [(*push, clock + time) for push, time in zip(pushes, times, strict=True)]
-            q, v = _rk4_step(acceleration, q, v, times[2] - times[0], *pushes)
+            q, v = _rk4_step(acceleration, q, v, float(times[2] - times[0]), *pushes)
             if (k + 1) % substeps == 0:
                 out_q[(k + 1) // substeps], out_v[(k + 1) // substeps] = q, v
     return out_q, out_v
