@@ -27,7 +27,7 @@ from leastaction.hidden.draws import draw_begins, draw_coefficients, scales_of, 
 from leastaction.hidden.gauge import canonical, open_changes, reflections, simpler_forms
 from leastaction.hidden.shooting import Shooter
 from leastaction.hidden.start import completed, law_of
-from leastaction.hidden.windows import cut_windows
+from leastaction.hidden.windows import Solutions, cut_windows
 from leastaction.refit import refit
 from leastaction.selection.search_state import equations_hold
 from leastaction.selection.strategies.hidden_start import joined as joined_starts
@@ -209,10 +209,10 @@ def test_slopes_of_deviations_are_those_of_differences(shooting) -> None:
     error, slopes = shooter.linearised(states, given, owner, sizes)
     assert np.array_equal(error, shooter.deviations(states, given, owner))
     n_states, expected = states.shape[1], []
-    for step in 1e-5 * np.diag([*shooter.unit, *sizes]):
+    for step in 1e-3 * np.diag([*shooter.unit, *sizes]):
         own, shared = step[:n_states], step[n_states:, None]
         above = shooter.deviations(states + own, given + shared, owner)
-        expected.append((above - shooter.deviations(states - own, given - shared, owner)) / 2e-5)
+        expected.append((above - shooter.deviations(states - own, given - shared, owner)) / 2e-3)
     differences = np.stack(expected, axis=-1)
     off, size = (np.linalg.norm(part, axis=(0, 1)) for part in (slopes - differences, differences))
     assert np.all(off < 0.03 * size)
@@ -231,6 +231,35 @@ def test_coefficients_and_hidden_states_are_recovered_from_far(shooting) -> None
     assert np.count_nonzero(there) > sets // 2
     assert there[np.argmin(found.cost)]
     assert np.abs(found.best(1).states[0] - states)[:, 1].max() < 0.02
+
+
+def test_sets_of_a_batch_are_fitted_as_if_alone(shooting) -> None:
+    """Those that no longer gain leave the batch before the others, and keep what they reached."""
+    _, shooter, states, true = shooting
+    laws = np.stack([true, 1.05 * true, true * [1.0, 1.5, 0.7, 1.0]])
+    start = shooter.fit_states(laws, np.stack([states] * 3), np.arange(len(states)), 2)
+    sizes = np.abs(true)
+    together = shooter.fit(start, sizes, 30)
+    for k in range(3):
+        one = Solutions(*(part[[k]] for part in (start.coefficients, start.states, start.deviation)))
+        alone = shooter.fit(one, sizes, 30)
+        np.testing.assert_allclose(together.coefficients[k], alone.coefficients[0], rtol=1e-6)
+        np.testing.assert_allclose(together.states[k], alone.states[0], atol=1e-6)
+        np.testing.assert_allclose(together.deviation[k], alone.deviation[0], rtol=1e-5)
+    given = np.repeat(together.coefficients, len(states), axis=0).T
+    owner = np.tile(np.arange(len(states)), 3)
+    again = shooter.deviations(together.states.reshape(owner.size, -1), given, owner)
+    np.testing.assert_allclose((again**2).mean(axis=1), together.deviation.ravel(), rtol=1e-5)
+
+
+def test_coordinates_far_from_zero_are_integrated_in_double_precision(shooting) -> None:
+    _, shooter, states, true = shooting
+    windows = shooter.windows
+    far = shooter.on(replace(windows, q=windows.q + 1e4))
+    owner = np.arange(len(states))
+    given = np.repeat(true[:, None], owner.size, axis=1)
+    assert shooter.motions(states, given, owner).dtype == np.float32
+    assert far.motions(states, given, owner).dtype == np.float64
 
 
 def test_a_law_is_told_from_another_by_its_cost(shooting) -> None:
@@ -355,7 +384,7 @@ def test_windows_backward_have_the_same_motions(shooting) -> None:
     given, rng = np.repeat(true[:, None], owner.size, axis=1), np.random.default_rng(2)
     motions = shooter.motions(rng.normal(size=(owner.size, 4)), given, owner)
     back = shooter.on(shooter.windows.backward()).motions(motions[-1], given, owner)
-    np.testing.assert_allclose(back[::-1], motions, atol=1e-5)
+    np.testing.assert_allclose(back[::-1], motions, atol=1e-3)
 
 
 def test_more_motions_are_found_if_the_horizon_grows() -> None:

@@ -13,8 +13,8 @@ from functools import partial
 import numpy as np
 
 from leastaction.hidden.draws import Scales
-from leastaction.hidden.shooting import Shooter, Solutions
-from leastaction.hidden.windows import Windows
+from leastaction.hidden.shooting import Shooter
+from leastaction.hidden.windows import Solutions, Windows
 
 __all__ = ["Chained", "chain", "continued", "preceding"]
 

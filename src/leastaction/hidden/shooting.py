@@ -14,84 +14,47 @@ integrates one batch by RK4.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
-from leastaction.hidden.windows import Windows
+from leastaction.hidden.windows import Solutions, Windows
 from leastaction.mechanics.equations import Mechanics, solve
 from leastaction.simulation.integrate import rk4
 
-__all__ = ["Shooter", "Solutions"]
+__all__ = ["Shooter"]
 
 _LOST = 1e6  # deviation of a motion that diverges
 _STEEPEST = 1e11  # slope of a deviation; steeper ones are those of motions that diverge
 _FIRST_DAMPING = 1e-2  # relative to the diagonal
 _MOST_NUMBERS = 2**20  # in the motions of one batch: its arrays stay in the cache of a processor
 _MOST_CHANGE = 0.5  # of a coefficient, in one step
+_ROUNDING = 1e-2  # largest error of a coordinate in single precision, in its scale
+_GAIN = 1e-3  # share of its objective that a fit has to gain,
+_IDLE = 8  # at least once in so many steps
 _TINY = 1e-300  # added to divisors that may vanish
 _LEAST_VARIANCE = 1e-2  # of deviations, in their scale; smaller ones are rounding
 _INDEPENDENT = 8.0  # independent values in a window; deviations are correlated
 
 
-@dataclass(frozen=True, eq=False)
-class Solutions:
-    """Sets of coefficients, each with the initial states that fit best.
-
-    Attributes
-    ----------
-    coefficients : (n_sets, n_members) array
-    states : (n_sets, n_windows, 2 n_dof) array
-    deviation : (n_sets, n_windows) array
-        χ_w².
-    """
+class _Point(NamedTuple):
+    """Sets of coefficients and states in a fit; the first axis of each array is that of the sets."""
 
     coefficients: np.ndarray
     states: np.ndarray
+    error: np.ndarray
+    slopes: np.ndarray
     deviation: np.ndarray
 
-    @property
-    def cost(self) -> np.ndarray:
-        """(n_sets,) Σ_w log(1 + χ_w²), by which sets are ranked."""
-        if not self.deviation.shape[1]:
-            return np.zeros(len(self.coefficients))
-        return np.log1p(self.deviation).mean(axis=1)
+    def of(self, sets: np.ndarray) -> _Point:
+        """Some of the sets."""
+        return _Point(*(values[sets] for values in self))
 
-    @property
-    def typical(self) -> np.ndarray:
-        """(n_sets,) median deviations of the windows, in units of deviations."""
-        return np.sqrt(np.median(self.deviation, axis=1))
-
-    def following(self, closely: float) -> Solutions:
-        """The sets that typically deviate by at most so much."""
-        kept = self.typical <= closely
-        return Solutions(self.coefficients[kept], self.states[kept], self.deviation[kept])
-
-    def of_windows(self, n_windows: int, kept: int = 1) -> Solutions:
-        """The best solutions of each window, where there are more."""
-        n_sets = len(self.coefficients)
-        deviation = self.deviation.reshape(n_sets, n_windows, -1)
-        first = np.argsort(deviation, axis=-1, kind="stable")[..., :kept]
-        states = self.states.reshape(*deviation.shape, -1)
-        states = np.take_along_axis(states, first[..., None], axis=2).reshape(n_sets, -1, states.shape[-1])
-        deviation = np.take_along_axis(deviation, first, axis=2).reshape(n_sets, -1)
-        return Solutions(self.coefficients, states, deviation)
-
-    def beside(self, other: Solutions, n_windows: int) -> Solutions:
-        """Several solutions of each window, and those of another, of the same coefficients."""
-
-        def joined(one: np.ndarray, two: np.ndarray) -> np.ndarray:
-            parts = [part.reshape(len(part), n_windows, -1, *part.shape[2:]) for part in (one, two)]
-            return np.concatenate(parts, axis=2).reshape(len(one), -1, *one.shape[2:])
-
-        states, deviation = joined(self.states, other.states), joined(self.deviation, other.deviation)
-        return Solutions(self.coefficients, states, deviation)
-
-    def best(self, count: int) -> Solutions:
-        """The sets of the lowest cost."""
-        first = np.argsort(self.cost, kind="stable")[:count]
-        return Solutions(self.coefficients[first], self.states[first], self.deviation[first])
+    def where(self, moved: np.ndarray, trial: _Point) -> _Point:
+        """The trial for sets that moved."""
+        pairs = zip(trial, self, strict=True)
+        return _Point(*(np.where(moved.reshape(-1, *[1] * (old.ndim - 1)), new, old) for new, old in pairs))
 
 
 class Shooter:
@@ -111,6 +74,7 @@ class Shooter:
         self.windows: Windows = windows
         self.unit: np.ndarray = unit
         self.n_dof: int = mechanics.n_dof
+        self.precision: type[np.floating] = _precision(windows)
 
     def on(self, windows: Windows) -> Shooter:
         """The same laws in other windows."""
@@ -124,6 +88,8 @@ class Shooter:
         n, forces = self.n_dof, self.windows.forces
         if forces is not None:
             forces = forces[:, owner]
+        with np.errstate(over="ignore"):
+            states, coefficients = (x.astype(self.precision) for x in (states, coefficients))
         q, qdot = rk4(
             partial(self.mechanics.acceleration, parameters=coefficients),
             states[..., :n],
@@ -174,16 +140,17 @@ class Shooter:
     ) -> tuple[np.ndarray, np.ndarray]:
         """∂q̈/∂(q, q̇), (n_nodes, n_runs, n_dof, 2 n_dof), and ∂q̈/∂λ times the sizes, along motions."""
         n, windows, mechanics = self.n_dof, self.windows, self.mechanics
+        coefficients = coefficients.astype(motions.dtype)
         q, qdot = motions[..., :n], motions[..., n:]
         clock = windows.begin[owner] + windows.nodes[:, None] if mechanics.timed else None
         mass, right = mechanics.mass_and_right(q, qdot, coefficients, clock)
         if windows.forces is not None:
-            right += windows.forces[::2, owner]
+            right += windows.forces[::2, owner].astype(right.dtype)
         qddot = solve(mass, right[..., None])[..., 0]
         shared = sizes is not None
         pushed = mechanics.slopes(q, qdot, qddot, clock, coefficients, of_parameters=shared)
         if shared:
-            pushed[..., 2 * n :] *= sizes
+            pushed[..., 2 * n :] *= sizes.astype(pushed.dtype)
         pushed = solve(mass, pushed)
         return pushed[..., : 2 * n], pushed[..., 2 * n :]
 
@@ -191,17 +158,17 @@ class Shooter:
         """(n_nodes, n_runs, n_dof, n_unknowns) changes of the coordinates, by Heun's method."""
         n, nodes = self.n_dof, self.windows.nodes
         count = 2 * n + pushing.shape[-1]
-        pushed = np.zeros((*pushing.shape[:-1], count))
+        pushed = np.zeros((*pushing.shape[:-1], count), pushing.dtype)
         pushed[..., 2 * n :] = pushing
-        state = np.zeros((turning.shape[1], 2 * n, count))
+        state = np.zeros((turning.shape[1], 2 * n, count), pushing.dtype)
         state[:, range(2 * n), range(2 * n)] = self.unit
-        out = np.empty((nodes.size, turning.shape[1], n, count))
+        out = np.empty((nodes.size, turning.shape[1], n, count), pushing.dtype)
         out[0] = state[:, :n]
 
         def rates(at: int, state: np.ndarray) -> np.ndarray:
             return np.concatenate([state[:, n:], turning[at] @ state + pushed[at]], axis=1)
 
-        for k, step in enumerate(np.diff(nodes)):
+        for k, step in enumerate(np.diff(nodes).tolist()):
             first = rates(k, state)
             second = rates(k + 1, state + step * first)
             state = state + 0.5 * step * (first + second)
@@ -311,58 +278,62 @@ class Shooter:
         rounds : int
             Steps of the fit.
         """
-        states, coefficients = start.states, start.coefficients
-        damping = np.full(len(coefficients), _FIRST_DAMPING)
-        error, slopes = self._linearised(states, coefficients, sizes)
-        found, count = (error**2).mean(axis=-1), error.shape[-1]
+        point = self._at(start.states, start.coefficients, sizes)
+        found = Solutions(point.coefficients.copy(), point.states.copy(), point.deviation.copy())
+        going = np.arange(len(point.coefficients))
+        damping, idle = np.full(going.size, _FIRST_DAMPING), np.zeros(going.size, dtype=int)
         for _ in range(rounds):
-            typical = np.maximum(np.median(found, axis=1), _TINY)
-            prior = np.maximum(typical, _LEAST_VARIANCE) * count / _INDEPENDENT
-            cost = _cost(found, coefficients / sizes, typical, prior, count)
-            weight = 1.0 / (1.0 + found / (4.0 * typical[:, None]))
-            move, shift = self._step(error, slopes, weight, damping, prior, coefficients / sizes)
-            limit = _MOST_CHANGE * np.maximum(np.abs(coefficients / sizes), _MOST_CHANGE)
-            share = np.minimum(1.0, limit / np.maximum(np.abs(shift), _TINY)).min(axis=1)
-            there = (
-                states + share[:, None, None] * move * self.unit,
-                coefficients + share[:, None] * shift * sizes,
-            )
-            new_error, new_slopes = self._linearised(*there, sizes)
-            new_found = (new_error**2).mean(axis=-1)
-            better = _cost(new_found, there[1] / sizes, typical, prior, count) < cost
-            states = np.where(better[:, None, None], there[0], states)
-            coefficients = np.where(better[:, None], there[1], coefficients)
-            error = np.where(better[:, None, None], new_error, error)
-            slopes = np.where(better[:, None, None, None], new_slopes, slopes)
-            found = np.where(better[:, None], new_found, found)
+            trial, gain = self._tried(point, damping, sizes)
+            better = gain > 0.0
+            point = point.where(better, trial)
+            found.coefficients[going], found.states[going] = point.coefficients, point.states
+            found.deviation[going] = point.deviation
             damping = np.where(better, np.maximum(0.2 * damping, 1e-8), 8.0 * damping)
-        return Solutions(coefficients, states, found)
+            idle = np.where(gain > _GAIN, 0, idle + 1)
+            kept = idle < _IDLE
+            if not kept.all():
+                going, damping, idle, point = going[kept], damping[kept], idle[kept], point.of(kept)
+            if not going.size:
+                break
+        return found
 
-    def _linearised(
-        self, states: np.ndarray, coefficients: np.ndarray, sizes: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Deviations (n_sets, n_windows, n_values), and slopes in the state and the coefficients."""
+    def _at(self, states: np.ndarray, coefficients: np.ndarray, sizes: np.ndarray) -> _Point:
+        """Sets of coefficients and states, with the deviations there and their slopes."""
         n_sets, n_windows, size = states.shape
         given = np.repeat(coefficients, n_windows, axis=0).T
         owner = np.tile(np.arange(n_windows), n_sets)
         error, slopes = self.linearised(states.reshape(-1, size), given, owner, sizes)
-        return error.reshape(n_sets, n_windows, -1), slopes.reshape(n_sets, n_windows, *slopes.shape[1:])
+        error, slopes = (x.reshape(n_sets, n_windows, *x.shape[1:]) for x in (error, slopes))
+        return _Point(coefficients, states, error, slopes, (error**2).mean(axis=-1))
+
+    def _tried(self, point: _Point, damping: np.ndarray, sizes: np.ndarray) -> tuple[_Point, np.ndarray]:
+        """Each set after a step, and (n_sets,) how much this lowers its objective, as a share of it."""
+        count, here = point.error.shape[-1], point.coefficients / sizes
+        typical = np.maximum(np.median(point.deviation, axis=1), _TINY)
+        prior = np.maximum(typical, _LEAST_VARIANCE) * count / _INDEPENDENT
+        weight = 1.0 / (1.0 + point.deviation / (4.0 * typical[:, None]))
+        move, shift = self._step(point, weight, damping, prior, here)
+        limit = _MOST_CHANGE * np.maximum(np.abs(here), _MOST_CHANGE)
+        share = np.minimum(1.0, limit / np.maximum(np.abs(shift), _TINY)).min(axis=1)
+        trial = self._at(
+            point.states + share[:, None, None] * move * self.unit,
+            point.coefficients + share[:, None] * shift * sizes,
+            sizes,
+        )
+        before, after = (
+            _cost(at.deviation, at.coefficients / sizes, typical, prior, count) for at in (point, trial)
+        )
+        return trial, 1.0 - after / np.maximum(before, _TINY)
 
     def _step(
-        self,
-        error: np.ndarray,
-        slopes: np.ndarray,
-        weight: np.ndarray,
-        damping: np.ndarray,
-        prior: np.ndarray,
-        here: np.ndarray,
+        self, point: _Point, weight: np.ndarray, damping: np.ndarray, prior: np.ndarray, here: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """Steps of states (n_sets, n_windows, 2 n_dof) and coefficients (n_sets, n_members), in units.
 
         ``prior`` is the precision of the coefficients, ``here`` their values, in units, too.
         """
-        size = 2 * self.n_dof
-        own, shared = slopes[..., :size], slopes[..., size:]
+        size, error = 2 * self.n_dof, point.error
+        own, shared = point.slopes[..., :size], point.slopes[..., size:]
         matrix, diagonal = _normal(own)
         matrix = matrix + _ridge(np.broadcast_to(damping[:, None], diagonal.shape[:-1]), diagonal, 1e-9)
         border = np.swapaxes(own, -1, -2) @ shared
@@ -377,6 +348,17 @@ class Shooter:
         schur = schur + _ridge(damping, np.einsum("sii->si", corner), 1e-9)
         shift = -np.linalg.solve(schur, right[..., None])[..., 0]
         return -held - np.einsum("swij,sj->swi", follow, shift), shift
+
+
+def _precision(windows: Windows) -> type[np.floating]:
+    """Single precision, unless deviations of coordinates far from zero are not much larger than its rounding.
+
+    Its functions take a quarter of the time, and start values need no more.
+    """
+    measured = list(windows.measured)
+    largest = np.abs(windows.q[..., measured]).max(axis=(0, 1))
+    rounding = np.finfo(np.float32).eps * largest
+    return np.float32 if np.all(rounding < _ROUNDING * windows.scale[measured]) else np.float64
 
 
 def _cost(

@@ -28,8 +28,8 @@ from leastaction.hidden.chain import Chained, chain, continued, preceding
 from leastaction.hidden.draws import draw_begins, draw_coefficients, scales_of, signs_without, term_sizes
 from leastaction.hidden.gauge import canonical
 from leastaction.hidden.settings import HIDDEN
-from leastaction.hidden.shooting import Shooter, Solutions
-from leastaction.hidden.windows import Windows, cut_windows
+from leastaction.hidden.shooting import Shooter
+from leastaction.hidden.windows import Solutions, Windows, cut_windows
 from leastaction.mechanics.equations import Mechanics
 
 __all__ = ["HiddenStart", "completed", "find_start", "follow_again", "law_of"]

@@ -1,4 +1,4 @@
-"""Short windows of the measured motion, in which motions of a law are compared with it."""
+"""Short windows of the measured motion, and the motions of laws that fit it best in them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from leastaction.estimation.forces import curve_between
 from leastaction.estimation.problem import Problem
 from leastaction.hidden.settings import HIDDEN
 
-__all__ = ["Windows", "cut_windows"]
+__all__ = ["Solutions", "Windows", "cut_windows"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,6 +66,65 @@ class Windows:
         begin, forces = self.begin + self.seconds, None if self.forces is None else self.forces[::-1]
         q, qdot = self.q[:, ::-1], self.qdot[:, ::-1]
         return replace(self, begin=begin, nodes=-self.nodes, q=q, qdot=qdot, forces=forces)
+
+
+@dataclass(frozen=True, eq=False)
+class Solutions:
+    """Sets of coefficients, each with the initial states that fit best.
+
+    Attributes
+    ----------
+    coefficients : (n_sets, n_members) array
+    states : (n_sets, n_windows, 2 n_dof) array
+    deviation : (n_sets, n_windows) array
+        χ_w², the mean squared deviation from the measured motion (see `shooting`).
+    """
+
+    coefficients: np.ndarray
+    states: np.ndarray
+    deviation: np.ndarray
+
+    @property
+    def cost(self) -> np.ndarray:
+        """(n_sets,) Σ_w log(1 + χ_w²), by which sets are ranked."""
+        if not self.deviation.shape[1]:
+            return np.zeros(len(self.coefficients))
+        return np.log1p(self.deviation).mean(axis=1)
+
+    @property
+    def typical(self) -> np.ndarray:
+        """(n_sets,) median deviations of the windows, in units of deviations."""
+        return np.sqrt(np.median(self.deviation, axis=1))
+
+    def following(self, closely: float) -> Solutions:
+        """The sets that typically deviate by at most so much."""
+        kept = self.typical <= closely
+        return Solutions(self.coefficients[kept], self.states[kept], self.deviation[kept])
+
+    def of_windows(self, n_windows: int, kept: int = 1) -> Solutions:
+        """The best solutions of each window, where there are more."""
+        n_sets = len(self.coefficients)
+        deviation = self.deviation.reshape(n_sets, n_windows, -1)
+        first = np.argsort(deviation, axis=-1, kind="stable")[..., :kept]
+        states = self.states.reshape(*deviation.shape, -1)
+        states = np.take_along_axis(states, first[..., None], axis=2).reshape(n_sets, -1, states.shape[-1])
+        deviation = np.take_along_axis(deviation, first, axis=2).reshape(n_sets, -1)
+        return Solutions(self.coefficients, states, deviation)
+
+    def beside(self, other: Solutions, n_windows: int) -> Solutions:
+        """Several solutions of each window, and those of another, of the same coefficients."""
+
+        def joined(one: np.ndarray, two: np.ndarray) -> np.ndarray:
+            parts = [part.reshape(len(part), n_windows, -1, *part.shape[2:]) for part in (one, two)]
+            return np.concatenate(parts, axis=2).reshape(len(one), -1, *one.shape[2:])
+
+        states, deviation = joined(self.states, other.states), joined(self.deviation, other.deviation)
+        return Solutions(self.coefficients, states, deviation)
+
+    def best(self, count: int) -> Solutions:
+        """The sets of the lowest cost."""
+        first = np.argsort(self.cost, kind="stable")[:count]
+        return Solutions(self.coefficients[first], self.states[first], self.deviation[first])
 
 
 def cut_windows(problem: Problem, smooth: Smooth, seconds: float, step: float, most: int | None) -> Windows:
