@@ -193,7 +193,8 @@ class _Hunt:
         """Windows of ``factor`` times the first length."""
         seconds = factor * HIDDEN.first_window * self.period
         most = None if most is None else int(most * self._growth)
-        return cut_windows(self.problem, self.smooth, seconds, HIDDEN.step * self.period, most)
+        step = HIDDEN.step if factor >= HIDDEN.last[0] else HIDDEN.coarse_step
+        return cut_windows(self.problem, self.smooth, seconds, step * self.period, most)
 
     @property
     def _growth(self) -> float:
