@@ -26,7 +26,7 @@ from leastaction.hidden.chain import chain, continued, preceding
 from leastaction.hidden.draws import draw_begins, draw_coefficients, scales_of, signs_without, term_sizes
 from leastaction.hidden.gauge import canonical, open_changes, reflections, simpler_forms
 from leastaction.hidden.shooting import Shooter
-from leastaction.hidden.start import completed, law_of
+from leastaction.hidden.start import _tested, completed, law_of
 from leastaction.hidden.windows import Solutions, cut_windows
 from leastaction.refit import refit
 from leastaction.selection.search_state import equations_hold
@@ -260,6 +260,28 @@ def test_coordinates_far_from_zero_are_integrated_in_double_precision(shooting) 
     given = np.repeat(true[:, None], owner.size, axis=1)
     assert shooter.motions(states, given, owner).dtype == np.float32
     assert far.motions(states, given, owner).dtype == np.float64
+
+
+def test_a_law_that_leaves_the_motion_in_longer_windows_is_not_accepted() -> None:
+    right, wrong = (
+        Solutions(np.array([[value]]), np.zeros((1, 3, 4)), np.full((1, 3), 0.04)) for value in (1.0, 2.0)
+    )
+    lengths = []
+
+    class Hunt:
+        """A law of which the coefficient is 2 deviates in longer windows."""
+
+        def larger(self, stage):
+            return stage
+
+        def fitted(self, given, factor, *numbers):
+            lengths.append(factor)
+            return replace(given, deviation=np.where(given.coefficients == 2.0, factor, given.deviation))
+
+    assert _tested(Hunt(), right).coefficients.tolist() == [[1.0]]
+    assert lengths == [8.0]
+    assert not len(_tested(Hunt(), wrong))
+    assert not len(_tested(Hunt(), right.best(0)))
 
 
 def test_a_law_is_told_from_another_by_its_cost(shooting) -> None:

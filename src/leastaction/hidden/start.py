@@ -3,8 +3,8 @@
 1. Many sets of coefficients are drawn. Each is tried in short windows, from many hidden states. Then
    coefficients and states are fitted together.
 2. The best sets are fitted in more and longer windows, in which fewer of them follow the measured motion.
-3. More sets are drawn until the best law follows the measured motion closely, or two sets end at it. If
-   several follow closely, longer windows tell them apart.
+3. More sets are drawn until a law follows the measured motion closely, in longer windows, too, or two sets
+   end at the best one. The windows grow on while several laws follow.
 4. The best law is fitted in windows that cover every trajectory, and their motions are chained.
 """
 
@@ -67,7 +67,13 @@ class HiddenStart:
 
 
 def find_start(
-    problem: Problem, structure: Structure, smooth: Smooth, period: float, seed: int = 0
+    problem: Problem,
+    structure: Structure,
+    smooth: Smooth,
+    period: float,
+    seed: int = 0,
+    *,
+    strict: bool = False,
 ) -> HiddenStart:
     """Search for coefficients of a structure and for the motion of the hidden coordinates.
 
@@ -81,35 +87,44 @@ def find_start(
     period : float
         Period of the measured motion, in seconds.
     seed : int
+    strict : bool
+        Draw more sets unless a law follows the measured motion in longer windows, too.
     """
     hunt = _Hunt(problem, list(structure), smooth, period, np.random.default_rng(seed))
     pool, batches = hunt.drawn(), hunt.batches
     for attempt in range(batches):
         found = hunt.fitted(pool, *hunt.larger(HIDDEN.last))
-        deviation = float(found.best(1).typical[0])
-        closely, agree = deviation <= HIDDEN.closely, _agree(problem, hunt.members, found, hunt.sizes)
-        if closely or (agree and deviation <= HIDDEN.follows):
+        close = found.following(HIDDEN.closely)
+        follow = bool(found.best(1).typical[0] <= HIDDEN.follows)
+        agree = follow and _agree(problem, hunt.members, found, hunt.sizes)
+        tested = _tested(hunt, close) if strict or _several(hunt, close) else close
+        if len(tested) or agree or (len(close) and not strict):
             break
         if attempt < batches - 1:
             pool = _joined(found, hunt.drawn())
-    confirmed = closely or (deviation <= HIDDEN.follows and (agree or _stands_out(found)))
-    best = _told_apart(hunt, found).best(1)
+    confirmed = bool(len(close)) or agree or (follow and _stands_out(found))
+    best = next(laws for laws in (tested, found) if len(laws)).best(1)
     return _started(hunt, best.coefficients, confirmed)
 
 
-def _told_apart(hunt: _Hunt, found: Solutions) -> Solutions:
-    """The laws after fits in longer windows, as long as several of them follow."""
+def _tested(hunt: _Hunt, laws: Solutions) -> Solutions:
+    """The laws that follow in longer windows, too; these grow while several laws follow.
+
+    Over 1.3 periods, another law may follow as closely as the right one.
+    """
     factor, *numbers = hunt.larger(HIDDEN.last)
+    tested = laws.best(0)
     for _ in range(HIDDEN.doublings):
-        close = found.following(HIDDEN.closely)
-        if len(close.coefficients) < 2 or _agree(hunt.problem, hunt.members, close, hunt.sizes):
+        if not len(laws) or (len(tested) and not _several(hunt, tested)):
             break
         factor *= 2.0
-        longer = hunt.fitted(close, factor, *numbers)
-        if not len(longer.following(HIDDEN.closely).coefficients):
-            break
-        found = longer
-    return found
+        laws = hunt.fitted(laws, factor, *numbers).following(HIDDEN.closely)
+        tested = laws if len(laws) else tested
+    return tested
+
+
+def _several(hunt: _Hunt, laws: Solutions) -> bool:
+    return len(laws) > 1 and not _agree(hunt.problem, hunt.members, laws, hunt.sizes)
 
 
 def follow_again(
@@ -319,7 +334,7 @@ def _stands_out(found: Solutions) -> bool:
 
 def _agree(problem: Problem, members: Sequence[int], found: Solutions, sizes: np.ndarray) -> bool:
     """Whether the two best sets are the same law up to the choice of a sign or zero."""
-    if len(found.coefficients) < 2:
+    if len(found) < 2:
         return False
     laws: list[np.ndarray] = []
     for coefficients in found.best(2).coefficients:

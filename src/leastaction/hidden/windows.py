@@ -84,6 +84,9 @@ class Solutions:
     states: np.ndarray
     deviation: np.ndarray
 
+    def __len__(self) -> int:
+        return len(self.coefficients)
+
     @property
     def cost(self) -> np.ndarray:
         """(n_sets,) Σ_w log(1 + χ_w²), by which sets are ranked."""

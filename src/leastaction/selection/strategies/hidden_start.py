@@ -57,13 +57,15 @@ def run(search: Search) -> Search:
 
     If the fit does not converge, its equations do not hold, or its motion jumped, some trials may be on a
     wrong branch of the hidden coordinate. The motion is then searched for again, with the law of the fit. If
-    the equations still do not hold, the law is, too, from other draws. The likeliest fit stays.
+    the equations still do not hold, the law is, too, from other draws, and has to follow the measured motion
+    for longer. The likeliest fit stays.
     """
     problem, period = search.problem, search.scales.period
     structure = Structure(problem.free)
     best, confirmed = None, False
     for attempt in range(_ATTEMPTS):
-        found = find_start(problem, structure, search.curve, period, search.seed + attempt)
+        seed, strict = search.seed + attempt, attempt > 0
+        found = find_start(problem, structure, search.curve, period, seed, strict=strict)
         confirmed = confirmed or found.confirmed
         best = _followed(search, structure, _likelier(best, _fitted(search, structure, found, best)))
         if _holds(best.fit):
