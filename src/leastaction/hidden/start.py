@@ -92,34 +92,41 @@ def find_start(
     """
     hunt = _Hunt(problem, list(structure), smooth, period, np.random.default_rng(seed))
     pool, batches = hunt.drawn(), hunt.batches
+    spare: list[Solutions] = []
     for attempt in range(batches):
         found = hunt.fitted(pool, *hunt.larger(HIDDEN.last))
         close = found.following(HIDDEN.closely)
         follow = bool(found.best(1).typical[0] <= HIDDEN.follows)
         agree = follow and _agree(problem, hunt.members, found, hunt.sizes)
         tested = _tested(hunt, close) if strict or _several(hunt, close) else close
-        if len(tested) or agree or (len(close) and not strict):
+        passed = tested.following(HIDDEN.closely)
+        if len(passed) or agree or (len(close) and not strict):
             break
+        if len(close):
+            spare.append(tested.best(1))
         if attempt < batches - 1:
             pool = _joined(found, hunt.drawn())
     confirmed = bool(len(close)) or agree or (follow and _stands_out(found))
-    best = next(laws for laws in (tested, found) if len(laws)).best(1)
-    return _started(hunt, best.coefficients, confirmed)
+    if not len(passed):
+        passed = found if agree or not spare else min(spare, key=lambda laws: laws.cost[0])
+    return _started(hunt, passed.best(1).coefficients, confirmed)
 
 
 def _tested(hunt: _Hunt, laws: Solutions) -> Solutions:
-    """The laws that follow in longer windows, too; these grow while several laws follow.
+    """Laws fitted in longer windows, which grow while several of them follow.
 
     Over 1.3 periods, another law may follow as closely as the right one.
     """
     factor, *numbers = hunt.larger(HIDDEN.last)
-    tested = laws.best(0)
-    for _ in range(HIDDEN.doublings):
-        if not len(laws) or (len(tested) and not _several(hunt, tested)):
-            break
+    tested = laws
+    for further in range(HIDDEN.doublings if len(laws) else 0):
         factor *= 2.0
-        laws = hunt.fitted(laws, factor, *numbers).following(HIDDEN.closely)
-        tested = laws if len(laws) else tested
+        longer = hunt.fitted(laws, factor, *numbers)
+        laws = longer.following(HIDDEN.closely)
+        if len(laws) or not further:
+            tested = longer
+        if not _several(hunt, laws):
+            break
     return tested
 
 
