@@ -3,8 +3,8 @@
 1. Many sets of coefficients are drawn. Each is tried in short windows, from many hidden states. Then
    coefficients and states are fitted together.
 2. The best sets are fitted in more and longer windows, in which fewer of them follow the measured motion.
-3. More sets are drawn until a law follows the measured motion closely, in longer windows, too, or two sets
-   end at the best one. The windows grow on while several laws follow.
+3. More sets are drawn until the best law follows the measured motion closely, or two sets end at it. If
+   several follow closely, longer windows tell them apart. A strict search goes on until a law follows there.
 4. The best law is fitted in windows that cover every trajectory, and their motions are chained.
 """
 
