@@ -34,7 +34,8 @@ class HiddenSettings:
     """The same for the stage in which two draws have to agree."""
 
     doublings: int = 2
-    """Largest number of times that the horizon doubles after the last stage, while several laws follow."""
+    """Largest number of times that the horizon doubles after the last stage, while several laws follow. In a
+    strict search it doubles once even for one law."""
 
     batches: tuple[int, int] = (6, 24)
     """Largest number of draws, with many terms and with few: with few, a draw takes a second."""

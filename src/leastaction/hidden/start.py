@@ -100,13 +100,14 @@ def find_start(
         agree = follow and _agree(problem, hunt.members, found, hunt.sizes)
         tested = _tested(hunt, close) if strict or _several(hunt, close) else close
         passed = tested.following(HIDDEN.closely)
-        if len(passed) or agree or (len(close) and not strict):
+        confirmed = bool(len(passed)) or agree or (bool(len(close)) and not strict)
+        if confirmed:
             break
         if len(close):
             spare.append(tested.best(1))
         if attempt < batches - 1:
             pool = _joined(found, hunt.drawn())
-    confirmed = bool(len(close)) or agree or (follow and _stands_out(found))
+    confirmed = confirmed or (follow and _stands_out(found))
     if not len(passed):
         passed = found if agree or not spare else min(spare, key=lambda laws: laws.cost[0])
     return _started(hunt, passed.best(1).coefficients, confirmed)

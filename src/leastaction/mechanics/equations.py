@@ -343,9 +343,9 @@ class Mechanics:
         return np.array([np.broadcast_to(value, q.shape[:-1]) for value in values], dtype=float)
 
 
-def _real(values: np.ndarray) -> np.dtype:
+def _real(values: np.ndarray) -> type[np.floating]:
     """Single precision for values in it, double precision for other numbers."""
-    return np.result_type(values, np.float32)
+    return np.float32 if values.dtype == np.float32 else np.float64
 
 
 def solve(mass: np.ndarray, right: np.ndarray) -> np.ndarray:
