@@ -251,6 +251,21 @@ SAID = [
         "the dissipation '(x_dot-h_dot)**2/2', '(x_dot-h1_dot)**2/2'",
     ),
     (
+        find(
+            "hidden-coordinate",
+            "h",
+            standard_error=0.01,
+            gauge=["sign", "half a turn", "sign and half a turn"],
+        ),
+        "h was not measured: its motion is estimated from the equations (standard error 0.01); its sign and "
+        "its zero up to half a turn are arbitrary and fixed by convention",
+    ),
+    (
+        find("hidden-coordinate", "h", standard_error=0.01, gauge=["sign and half a turn"]),
+        "h was not measured: its motion is estimated from the equations (standard error 0.01); its sign, "
+        "together with half a turn of its zero, is arbitrary and fixed by convention",
+    ),
+    (
         find("rate-scaled", "x", quantity="velocity", factor=-57.3, unit="deg/s"),
         "the measured velocity of x is -57.3 times the derivative of its coordinate (degrees per "
         "second, with the opposite sign?): convert it, or leave it out",

@@ -28,6 +28,7 @@ from leastaction.hidden.gauge import canonical, open_changes, reflections, simpl
 from leastaction.hidden.shooting import Shooter
 from leastaction.hidden.start import _tested, completed, law_of
 from leastaction.hidden.windows import Solutions, cut_windows
+from leastaction.mechanics import Points
 from leastaction.refit import refit
 from leastaction.selection.search_state import equations_hold
 from leastaction.selection.strategies.hidden_start import joined as joined_starts
@@ -674,6 +675,35 @@ def test_the_zero_of_a_hidden_angle_is_known_up_to_half_a_turn(pendulum) -> None
     assert canonical(setup.problem, list(fit.structure), flipped) != []
     assert canonical(setup.problem, list(fit.structure), fit.coefficients) == []
     assert open_changes(fit) == {}
+
+
+@pytest.mark.parametrize(
+    ("known", "kinds"),
+    [
+        ({"x_dot**2": 1.0}, ["sign", "half a turn", "sign and half a turn"]),
+        ({"x_dot**2": 1.0, "x_dot*theta_dot*cos(theta)": 1.0}, ["sign and half a turn"]),
+        ({"x_dot**2": 1.0, "cos(theta)": 9.81}, ["sign"]),
+        ({"cos(theta)": 9.81, "x_dot*theta_dot*cos(theta)": 1.0}, []),
+    ],
+)
+def test_the_signs_of_a_law_do_not_depend_on_the_choice_of_the_hidden_angle(known, kinds) -> None:
+    system = systems.get("cart_spring_pendulum")
+    _, setup = set_up(system, known, 1)
+    problem = setup.problem
+    truth = true_coefficients(problem, system)
+    found = reflections(problem, list(problem.free))
+    assert [change.kind for change in found] == kinds
+    assert canonical(problem, list(problem.free), truth) == []
+    q, qdot, qddot = np.random.default_rng(0).standard_normal((3, 50, 2))
+    old = np.tensordot(truth, problem.candidates.strong(Points(q, qdot, qddot, np.zeros(50))), 1)
+    for change in found:
+        direction = np.array([1.0, change.moved(np.array(1.0)) - change.moved(np.array(0.0))])
+        there = np.stack([q[:, 0], change.moved(q[:, 1])], axis=1)
+        states = Points(there, qdot * direction, qddot * direction, np.zeros(50))
+        new = np.tensordot(truth * change.signs, problem.candidates.strong(states), 1)
+        assert np.allclose(new, direction[:, None] * old)
+        (back,) = canonical(problem, list(problem.free), truth * change.signs)
+        assert back.kind == change.kind
 
 
 @pytest.mark.parametrize(

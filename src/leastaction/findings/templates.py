@@ -388,9 +388,14 @@ def hidden_coordinate(f: dict[str, Any]) -> str:
     """What is known of a coordinate without a sensor, and what is arbitrary."""
     text = "{subject} was not measured: its motion is estimated from the equations "
     text += "(standard error {standard_error:.2g})"
-    choices = {"sign": "its sign", "half a turn": "its zero up to half a turn"}
-    named = " and ".join(choices[kind] for kind in f["gauge"])
-    verb = "are" if len(f["gauge"]) > 1 else "is"
+    choices = {
+        "sign": "its sign",
+        "half a turn": "its zero up to half a turn",
+        "sign and half a turn": "its sign, together with half a turn of its zero,",
+    }
+    kinds = [kind for kind in f["gauge"] if kind != "sign and half a turn"] or f["gauge"]
+    named = " and ".join(choices[kind] for kind in kinds)
+    verb = "are" if len(kinds) > 1 else "is"
     text += f"; {named} {verb} arbitrary and fixed by convention" if named else ""
     if f.get("factor", 0.0) > 1.05:
         text += "; a sensor for it would reduce standard errors by up to a factor of {factor:.2g} ({term})"

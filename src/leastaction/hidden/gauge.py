@@ -8,7 +8,7 @@ their generators
 
 A change is undetectable if the equations of Σ_k λ_k δφ_k are a linear combination of those of the free terms
 and, without known forces, of Σ_k λ_k φ_k itself, because L then describes the same motion on any scale.
-Two discrete changes, the reflection q_h → −q_h and half a turn q_h → q_h + π, are tested term by term.
+Three discrete changes, q_h → −q_h, q_h → q_h + π and q_h → π − q_h, are tested term by term.
 
 A law may have a simpler form in another choice of the coordinate, q_h = s Q + c f(q) with s = ±1 and f = 1,
 or a measured coordinate, or its sine or cosine. The equations of the new law follow from the old ones,
@@ -22,6 +22,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -46,7 +47,7 @@ _WRITTEN = 1e-5  # share of a law that candidates may not write, after a search 
 _EXACT = 1e-7  # relative residual by rounding of equations that are a linear combination of others
 
 OFFSET, SCALE, MIXING = "offset", "scale", "mixing"
-SIGN, HALF_TURN = "sign", "half a turn"
+SIGN, HALF_TURN, BOTH = "sign", "half a turn", "sign and half a turn"
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +57,7 @@ class Reflection:
     Attributes
     ----------
     coordinate : int
-    kind : {"sign", "half a turn"}
+    kind : {"sign", "half a turn", "sign and half a turn"}
     signs : (n_candidates,) array
         Factor of each coefficient: 1, -1, or NaN for a candidate that becomes one outside the library.
     """
@@ -67,7 +68,8 @@ class Reflection:
 
     def moved(self, values: np.ndarray) -> np.ndarray:
         """The hidden coordinate after the change."""
-        return -values if self.kind == SIGN else values + np.pi
+        turned = values if self.kind == HALF_TURN else -values
+        return turned if self.kind == SIGN else turned + np.pi
 
 
 def reflections(problem: Problem, members: Sequence[int]) -> list[Reflection]:
@@ -75,10 +77,10 @@ def reflections(problem: Problem, members: Sequence[int]) -> list[Reflection]:
     held = [*members, *np.flatnonzero(np.nan_to_num(problem.known)).tolist()]
     out: list[Reflection] = []
     for i in problem.hidden:
-        for kind in (SIGN, HALF_TURN):
-            if kind == HALF_TURN and problem.coordinates[i] not in problem.candidates.turning:
+        for kind in (SIGN, HALF_TURN, BOTH):
+            if kind != SIGN and problem.coordinates[i] not in problem.candidates.turning:
                 continue
-            if kind == SIGN and _pushed(problem, i):
+            if kind != HALF_TURN and _pushed(problem, i):
                 continue
             signs = np.array([_sign(term, problem.coordinates[i], kind) for term in problem.terms])
             known = np.flatnonzero(problem.is_known & (problem.known != 0.0))
@@ -88,19 +90,26 @@ def reflections(problem: Problem, members: Sequence[int]) -> list[Reflection]:
 
 
 def canonical(problem: Problem, members: Sequence[int], coefficients: np.ndarray) -> list[Reflection]:
-    """Changes that make positive the first coefficient that is large enough and whose sign they change."""
-    out: list[Reflection] = []
-    for change in reflections(problem, members):
-        moved = [k for k in sorted(members) if change.signs[k] == -1.0 and coefficients[k] != 0.0]
-        kinetic = [k for k in moved if _is_kinetic(problem, k)] or moved
-        if not kinetic:
-            continue
-        largest = max(abs(coefficients[k]) for k in kinetic)
-        first = next(k for k in kinetic if abs(coefficients[k]) > _MATTERS * largest)
-        if coefficients[first] < 0.0:
-            out.append(change)
-            coefficients = coefficients * np.where(change.signs == -1.0, -1.0, 1.0)
-    return out
+    """Changes that give the coefficients their conventional signs, at most one of each hidden coordinate.
+
+    Kinetic terms are made positive before the others, and earlier ones before later ones. Coefficients much
+    smaller than the largest of the same kind do not count.
+    """
+    found = reflections(problem, members)
+    size = np.abs(coefficients)
+    flipped = [k for k in sorted(members) if size[k] > 0.0 and any(c.signs[k] == -1.0 for c in found)]
+    first: list[int] = []
+    for kinetic in (True, False):
+        own = [k for k in flipped if _is_kinetic(problem, k) == kinetic]
+        first += [k for k in own if size[k] > _MATTERS * size[own].max()]
+
+    def positive(changes: Sequence[Reflection | None]) -> list[bool]:
+        signs = [change.signs[first] for change in changes if change is not None]
+        return (np.prod([coefficients[first], *signs], axis=0) > 0.0).tolist()
+
+    choices = [[None, *(change for change in found if change.coordinate == i)] for i in problem.hidden]
+    best = max(product(*choices), key=positive)  # of equal ones the first, which changes least
+    return [change for change in best if change is not None]
 
 
 def _is_kinetic(problem: Problem, k: int) -> bool:
@@ -139,8 +148,8 @@ def _sign(term: Term, name: str, kind: str) -> float:
     q, rate = sp.Symbol(name, real=True), sp.Symbol(f"{name}_dot", real=True)
     if not term.expr.free_symbols & {q, rate}:
         return 1.0
-    swap = {q: -q, rate: -rate} if kind == SIGN else {q: q + sp.pi}
-    changed = term.expr.xreplace(swap)
+    swaps = {SIGN: {q: -q, rate: -rate}, HALF_TURN: {q: q + sp.pi}, BOTH: {q: sp.pi - q, rate: -rate}}
+    changed = term.expr.xreplace(swaps[kind])
     for sign in (1, -1):
         if sp.expand(sp.expand_trig(changed - sign * term.expr)) == 0:
             return float(sign)
