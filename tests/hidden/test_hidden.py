@@ -26,7 +26,7 @@ from leastaction.hidden.chain import chain, continued, preceding
 from leastaction.hidden.draws import draw_begins, draw_coefficients, scales_of, signs_without, term_sizes
 from leastaction.hidden.gauge import canonical, open_changes, reflections, simpler_forms
 from leastaction.hidden.shooting import Shooter
-from leastaction.hidden.start import _tested, completed, law_of
+from leastaction.hidden.start import _Hunt, _tested, completed, law_of
 from leastaction.hidden.windows import Solutions, cut_windows
 from leastaction.mechanics import Points
 from leastaction.refit import refit
@@ -279,10 +279,39 @@ def test_a_law_that_leaves_the_motion_in_longer_windows_is_not_accepted() -> Non
             lengths.append(factor)
             return replace(given, deviation=np.where(given.coefficients == 2.0, factor, given.deviation))
 
+        def several(self, found):
+            return len(found) > 1
+
     assert _tested(Hunt(), right).coefficients.tolist() == [[1.0]]
     assert lengths == [8.0]
     assert _tested(Hunt(), wrong).typical == 8.0**0.5
     assert not len(_tested(Hunt(), right.best(0)))
+
+
+@pytest.mark.parametrize(
+    ("deviations", "twice", "expected"),
+    [
+        ([0.1, 0.11, 0.12, 0.13], True, (False, False)),  # others cost hardly more
+        ([0.1, 0.11, 0.3, 0.4], True, (True, True)),
+        ([0.1, 0.3, 0.4, 0.5], False, (True, False)),
+        ([101.0, 102.0, 1e5, 1e5], True, (False, False)),  # the motion is not followed
+    ],
+)
+def test_a_law_that_two_draws_lead_to_has_to_stand_out(pendulum, deviations, twice, expected) -> None:
+    _, setup, _ = pendulum
+    problem = setup.problem
+    hunt = _Hunt(
+        problem, problem.free.tolist(), setup.scales.smooth, setup.scales.period, np.random.default_rng(0)
+    )
+    true = true_coefficients(problem)[problem.free]
+    (half_turn,) = reflections(problem, list(problem.free))
+    again = true * half_turn.signs[problem.free] * 1.01
+    laws = np.array([true, again if twice else 0.5 * true, 2.0 * true, 3.0 * true])
+    deviation = np.tile(np.array(deviations)[:, None], (1, 5))
+    order = [2, 0, 3, 1]
+    found = Solutions(laws[order], np.zeros((4, 5, 4)), deviation[order])
+    assert hunt.compared(found) == expected
+    assert hunt.several(found) is not twice
 
 
 def test_a_law_is_told_from_another_by_its_cost(shooting) -> None:
@@ -774,6 +803,22 @@ def test_a_pendulum_without_one_encoder_is_found(hidden) -> None:
     assert "hidden-coordinate" in codes
     assert "hidden-gauge" not in codes
     again_is_the_same(model)
+
+
+def test_a_damped_pendulum_without_an_encoder_is_found() -> None:
+    """Swings decay to a third in some three seconds, two periods."""
+    friction = {"theta1_dot**2/2": 0.22, "theta2_dot**2/2": 0.07}
+    system = replace(PENDULUM, dissipation=friction)
+    truth = systems.simulate_truth(system, trials=4, duration=8.0, rate=100.0, seed=1)
+    data = systems.measure(system, truth, systems.noise_std(system, truth, 0.01), seed=1)
+    library = la.Library(list(system.lagrangian), system.coordinates, angles=system.angles)
+    model = la.discover(
+        without(data, 0), library, known=system.known, dissipation=list(friction), hidden=["theta1"]
+    )
+    assert model.fit.status == "ok", model.fit.warnings
+    true = system.lagrangian | friction
+    for term in (*model.terms, *model.dissipation):
+        assert abs(term.coefficient - true[term.expression]) <= 4.0 * term.standard_error
 
 
 @pytest.mark.thorough

@@ -146,7 +146,8 @@ CODES: dict[str, Message] = {
     ),
     "hidden-start-unconfirmed": Message(
         "note",
-        "no two searches for the motion of {subject} led to the same law",
+        "no law that was tried as a start for {subject} follows the measured motion closely, or clearly better "
+        "than others",
         "if the fit is doubtful, offer fewer candidates, give coefficients as known, or record for longer",
     ),
     "hidden-motion-open": Message(

@@ -31,7 +31,7 @@ class HiddenSettings:
     proportion, and after the first stage those of sets and steps, too."""
 
     last: tuple[float, int, int, int] = (4, 12, 3, 40)
-    """The same for the stage in which two draws have to agree."""
+    """The same for the stage in which a law has to follow the motion."""
 
     doublings: int = 2
     """Largest number of times that the horizon doubles after the last stage, while several laws follow. In a
@@ -44,15 +44,15 @@ class HiddenSettings:
     """Largest relative difference between coefficients of the same law, after a fit of few windows."""
 
     stands_out: float = 1.5
-    """Smallest ratio of the costs of the second best and the best law at which the best stands out."""
+    """Smallest ratio of the costs of the second best and the best law at which the best stands out. Draws can
+    also end twice at the same wrong law, but others then cost little more."""
 
     closely: float = 0.5
     """Largest deviation of the best law, in units of deviations, at which no more are drawn. The right law
     deviates by 0.2 to 0.4, by the error of the smoothed motion."""
 
     follows: float = 10.0
-    """Largest deviation of the best law, in units of deviations, at which the search ends. Two draws can end
-    at the same wrong law, which deviates by more."""
+    """Largest deviation, in units of deviations, of a law that stands out."""
 
     state_rounds: int = 3
     """Steps of a fit of initial states, on each horizon."""

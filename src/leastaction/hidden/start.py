@@ -3,8 +3,9 @@
 1. Many sets of coefficients are drawn. Each is tried in short windows, from many hidden states. Then
    coefficients and states are fitted together.
 2. The best sets are fitted in more and longer windows, in which fewer of them follow the measured motion.
-3. More sets are drawn until the best law follows the measured motion closely, or two sets end at it. If
-   several follow closely, longer windows tell them apart. A strict search goes on until a law follows there.
+3. More sets are drawn until the best law follows the measured motion closely, or two sets end at a law that
+   costs clearly less than others. If several follow closely, longer windows tell them apart. A strict search
+   goes on until a law follows there.
 4. The best law is fitted in windows that cover every trajectory, and their motions are chained.
 """
 
@@ -46,7 +47,7 @@ class HiddenStart:
     motions : list of (n_times, n_hidden) arrays
         Hidden coordinates at the samples of each trajectory.
     confirmed : bool
-        Whether two independent draws led to the same law, or one law stands out.
+        Whether a law follows closely, or costs clearly less than others.
     jump : float
         Largest jump of the motion between windows, in scales of the hidden state.
     """
@@ -81,7 +82,7 @@ def find_start(
     ----------
     problem : Problem
     structure : Structure
-        Its members have unknown coefficients; dissipation starts at zero.
+        Its members have unknown coefficients; those of dissipation start at zero.
     smooth : Smooth
         The smooth curve through the samples; its hidden coordinates are not used.
     period : float
@@ -91,26 +92,24 @@ def find_start(
         Draw more sets unless a law follows the measured motion in longer windows, too.
     """
     hunt = _Hunt(problem, list(structure), smooth, period, np.random.default_rng(seed))
-    pool, batches = hunt.drawn(), hunt.batches
+    found: Solutions | None = None
     spare: list[Solutions] = []
-    for attempt in range(batches):
-        found = hunt.fitted(pool, *hunt.larger(HIDDEN.last))
-        close = found.following(HIDDEN.closely)
-        follow = bool(found.best(1).typical[0] <= HIDDEN.follows)
-        agree = follow and _agree(problem, hunt.members, found, hunt.sizes)
-        tested = _tested(hunt, close) if strict or _several(hunt, close) else close
+    for _ in range(hunt.batches):
+        fitted = hunt.fitted(hunt.drawn(), *hunt.larger(HIDDEN.last))
+        found = fitted if found is None else found.joined(fitted)
+        close = fitted.following(HIDDEN.closely)
+        stands_out, agree = hunt.compared(found)
+        tested = _tested(hunt, close) if strict or hunt.several(close) else close
         passed = tested.following(HIDDEN.closely)
         confirmed = bool(len(passed)) or agree or (bool(len(close)) and not strict)
         if confirmed:
             break
         if len(close):
             spare.append(tested.best(1))
-        if attempt < batches - 1:
-            pool = _joined(found, hunt.drawn())
-    confirmed = confirmed or (follow and _stands_out(found))
+    assert found is not None  # there is at least one batch
     if not len(passed):
         passed = found if agree or not spare else min(spare, key=lambda laws: laws.cost[0])
-    return _started(hunt, passed.best(1).coefficients, confirmed)
+    return _started(hunt, passed.best(1).coefficients, confirmed or stands_out)
 
 
 def _tested(hunt: _Hunt, laws: Solutions) -> Solutions:
@@ -126,13 +125,9 @@ def _tested(hunt: _Hunt, laws: Solutions) -> Solutions:
         laws = longer.following(HIDDEN.closely)
         if len(laws) or not further:
             tested = longer
-        if not _several(hunt, laws):
+        if not hunt.several(laws):
             break
     return tested
-
-
-def _several(hunt: _Hunt, laws: Solutions) -> bool:
-    return len(laws) > 1 and not _agree(hunt.problem, hunt.members, laws, hunt.sizes)
 
 
 def follow_again(
@@ -182,9 +177,9 @@ def completed(
 
 def _started(hunt: _Hunt, given: np.ndarray, confirmed: bool) -> HiddenStart:
     """The motion of one law, (1, n_members) coefficients, with the conventional signs and zeros."""
-    problem, nothing = hunt.problem, np.zeros((1, 0))
-    values, chained = hunt.everywhere(Solutions(given, nothing, nothing))
-    coefficients, motions = problem.completed(values), chained.values
+    problem = hunt.problem
+    own, chained = hunt.everywhere(given)
+    coefficients, motions = hunt.of_candidates(own), chained.values
     for change in canonical(problem, hunt.members, coefficients):
         coefficients = coefficients * np.where(change.signs == -1.0, -1.0, 1.0)
         column = problem.hidden.index(change.coordinate)
@@ -200,8 +195,8 @@ class _Hunt:
         self, problem: Problem, members: list[int], smooth: Smooth, period: float, rng: np.random.Generator
     ) -> None:
         self.problem, self.smooth, self.period, self.rng = problem, smooth, period, rng
-        self.all_members = members
-        self.members = [k for k in members if problem.terms[k].kind == "lagrangian"]
+        self.members = members
+        self.in_lagrangian = [k for k in members if problem.terms[k].kind == "lagrangian"]
         self.mechanics = law_of(problem, self.members)
         self.first = self.windows(*HIDDEN.stages[0][:2])
         self.scales = scales_of(problem, self.first, period)
@@ -209,8 +204,8 @@ class _Hunt:
 
     @cached_property
     def signs(self) -> np.ndarray:
-        """(n_members,) signs that a regression gives; only draws need them."""
-        return signs_without(self.problem, self.members, self.windows(*HIDDEN.last[:2]))
+        """Signs that a regression gives to terms of L; only draws need them."""
+        return signs_without(self.problem, self.in_lagrangian, self.windows(*HIDDEN.last[:2]))
 
     def windows(self, factor: float, most: int | None) -> Windows:
         """Windows of ``factor`` times the first length."""
@@ -221,7 +216,7 @@ class _Hunt:
 
     @property
     def _growth(self) -> float:
-        return max(1.0, len(self.members) / HIDDEN.few_terms)
+        return max(1.0, len(self.in_lagrangian) / HIDDEN.few_terms)
 
     @property
     def batches(self) -> int:
@@ -236,10 +231,12 @@ class _Hunt:
 
     def drawn(self) -> Solutions:
         """The best of many draws after all stages except the last."""
-        sizes = self.sizes[self.members]
-        given = draw_coefficients(
-            self.problem, self.members, sizes, self.signs, self.first, self.scales, self.rng
+        own = self.in_lagrangian
+        drawn = draw_coefficients(
+            self.problem, own, self.sizes[own], self.signs, self.first, self.scales, self.rng
         )
+        given = np.zeros((len(drawn), len(self.members)))  # without friction
+        given[:, np.isin(self.members, own)] = drawn
         nothing = np.zeros((len(given), 0))
         found = self.fitted(Solutions(given, nothing, nothing), *HIDDEN.stages[0])
         for stage in HIDDEN.stages[1:]:
@@ -254,18 +251,47 @@ class _Hunt:
         screened = shooter.screen(coefficients, begins, HIDDEN.kept, HIDDEN.state_rounds, _doublings(factor))
         return shooter.fit(screened.of_windows(len(shooter.windows)), self.sizes[self.members], rounds)
 
-    def everywhere(self, given: Solutions) -> tuple[np.ndarray, Chained]:
-        """(n_candidates,) coefficients of one set, and its motion along every trajectory.
-
-        Motions are chained, fitted with all coefficients including dissipation, and chained again.
-        """
-        members, shooter = self.all_members, self._shooter()
+    def of_candidates(self, coefficients: np.ndarray) -> np.ndarray:
+        """(n_candidates,) coefficients, known ones included, of (n_members,)."""
         values = np.zeros(len(self.problem.candidates))
-        values[self.members] = given.coefficients[0]
-        found = self._branches(shooter, values[None, members])
-        fitted = shooter.fit(self._chained(shooter, found).chosen, self.sizes[members], HIDDEN.last[3])
-        values[members] = fitted.coefficients[0]
-        return values, self._along(shooter, replace(found, coefficients=fitted.coefficients))
+        values[self.members] = coefficients
+        return self.problem.completed(values)
+
+    def several(self, found: Solutions) -> bool:
+        """Whether the two best sets are different laws."""
+        return len(found) > 1 and not self._alike(found.best(2))[1]
+
+    def compared(self, found: Solutions) -> tuple[bool, bool]:
+        """Whether the best law follows and costs clearly less than others, and whether a second set is it."""
+        best = found.best(_COMPARED)
+        alike = self._alike(best)
+        others = best.cost[~alike]
+        stands_out = best.typical[0] <= HIDDEN.follows and not np.any(
+            others < HIDDEN.stands_out * best.cost[0]
+        )
+        return bool(stands_out), bool(stands_out and alike[1:].any())
+
+    def _alike(self, found: Solutions) -> np.ndarray:
+        """Which sets have the L of the first one, up to the choice of a sign or zero."""
+        laws: list[np.ndarray] = []
+        for coefficients in found.coefficients:
+            values = self.of_candidates(coefficients)
+            for change in canonical(self.problem, self.members, values):
+                values = values * np.where(change.signs == -1.0, -1.0, 1.0)
+            laws.append(values[self.in_lagrangian])
+        size = np.maximum(np.abs(laws[0]), np.abs(laws))
+        allowed = HIDDEN.same * np.maximum(size, self.sizes[self.in_lagrangian]) * (size > 0.0)
+        return np.all(np.abs(laws - laws[0]) <= allowed, axis=1)
+
+    def everywhere(self, given: np.ndarray) -> tuple[np.ndarray, Chained]:
+        """(n_members,) coefficients of a law, from (1, n_members), and its motion along every trajectory.
+
+        Motions are chained, fitted with all coefficients, and chained again.
+        """
+        shooter = self._shooter()
+        found = self._branches(shooter, given)
+        fitted = shooter.fit(self._chained(shooter, found).chosen, self.sizes[self.members], HIDDEN.last[3])
+        return fitted.coefficients[0], self._along(shooter, replace(found, coefficients=fitted.coefficients))
 
     def followed(self, coefficients: np.ndarray) -> Chained:
         """The motion of a law along every trajectory, its (1, n_members) coefficients held."""
@@ -298,9 +324,8 @@ class _Hunt:
         return chain(shooter, found, self.scales, [t.t for t in self.problem.trajectories])
 
     def _shooter(self) -> Shooter:
-        """Motions of all terms, in windows that cover every trajectory."""
-        law = law_of(self.problem, self.all_members)
-        return Shooter(law, self.windows(HIDDEN.last[0], None), self.scales.unit)
+        """Motions in windows that cover every trajectory."""
+        return Shooter(self.mechanics, self.windows(HIDDEN.last[0], None), self.scales.unit)
 
     def _begins(self) -> np.ndarray:
         return draw_begins(self.scales, self.problem.hidden, self.rng)
@@ -325,32 +350,4 @@ def _doublings(factor: float) -> int:
 
 _ROUNDS = 2 * HIDDEN.state_rounds  # steps of a fit of states where motions are chained
 _DOUBLINGS = _doublings(HIDDEN.last[0])  # of their horizon
-
-
-def _joined(one: Solutions, other: Solutions) -> Solutions:
-    """The coefficients of both, ranked by their own costs."""
-    coefficients = np.concatenate([one.coefficients, other.coefficients])
-    cost = np.concatenate([one.cost, other.cost])
-    return Solutions(coefficients, np.zeros((len(cost), 0)), np.expm1(cost)[:, None])
-
-
-def _stands_out(found: Solutions) -> bool:
-    """Whether the cost of the best set is clearly the lowest."""
-    first, *others = found.best(2).cost
-    return bool(others) and bool(HIDDEN.stands_out * first < others[0])
-
-
-def _agree(problem: Problem, members: Sequence[int], found: Solutions, sizes: np.ndarray) -> bool:
-    """Whether the two best sets are the same law up to the choice of a sign or zero."""
-    if len(found) < 2:
-        return False
-    laws: list[np.ndarray] = []
-    for coefficients in found.best(2).coefficients:
-        values = np.zeros(len(problem.candidates))
-        values[list(members)] = coefficients
-        for change in canonical(problem, members, values):
-            values = values * np.where(change.signs == -1.0, -1.0, 1.0)
-        laws.append(values)
-    size = np.maximum(np.abs(laws[0]), np.abs(laws[1]))
-    own = [k for k in members if size[k] > 0.0]
-    return bool(np.all(np.abs(laws[0] - laws[1])[own] <= HIDDEN.same * np.maximum(size, sizes)[own]))
+_COMPARED = 4  # sets that are compared after each draw

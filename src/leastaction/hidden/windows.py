@@ -124,6 +124,14 @@ class Solutions:
         states, deviation = joined(self.states, other.states), joined(self.deviation, other.deviation)
         return Solutions(self.coefficients, states, deviation)
 
+    def joined(self, other: Solutions) -> Solutions:
+        """These sets and others, fitted in the same windows."""
+        return Solutions(
+            np.concatenate([self.coefficients, other.coefficients]),
+            np.concatenate([self.states, other.states]),
+            np.concatenate([self.deviation, other.deviation]),
+        )
+
     def best(self, count: int) -> Solutions:
         """The sets of the lowest cost."""
         first = np.argsort(self.cost, kind="stable")[:count]
