@@ -24,7 +24,7 @@ from leastaction.hidden import band
 from leastaction.hidden.band import curve_errors, errors_with_sensor
 from leastaction.hidden.chain import chain, continued, preceding
 from leastaction.hidden.draws import draw_begins, draw_coefficients, scales_of, signs_without, term_sizes
-from leastaction.hidden.gauge import canonical, open_changes, reflections, simpler_forms
+from leastaction.hidden.gauge import canonical, open_changes, open_scales, reflections, simpler_forms
 from leastaction.hidden.shooting import Shooter
 from leastaction.hidden.start import _Hunt, _tested, completed, law_of
 from leastaction.hidden.windows import Solutions, cut_windows
@@ -763,6 +763,34 @@ def test_what_known_terms_leave_open_is_named(known, terms, expected) -> None:
     fit = grid.fit(structure, grid.start(structure, motion.control_points, values, np.array([1e-4, 1.0])))
     found = open_changes(replace(fit, coefficients=values))
     assert found == ({} if expected is None else {"y": expected})
+
+
+@pytest.mark.parametrize(
+    ("known", "pushed", "expected"),
+    [
+        ({}, ["y"], ("scale",)),  # y → s y, L → s L
+        ({}, ["x", "y"], None),
+        ({"x_dot**2": 0.5}, ["y"], None),
+        ({"x*y": 0.7}, ["y"], ("scale",)),
+        ({"y**2": -1.0}, ["y"], None),
+    ],
+)
+def test_a_force_on_a_hidden_coordinate_alone_leaves_its_scale_open(known, pushed, expected) -> None:
+    law = {"x_dot**2": 0.5, "y_dot**2": 0.5, "x**2": -1.0, "y**2": -1.0, "x*y": 0.7, "y_dot**2/2": 0.1}
+    t = np.linspace(0.0, 10.0, 401)
+    q = np.column_stack([np.sin(t) + np.cos(1.8 * t), np.full(t.size, np.nan)])
+    forces = np.array([name in pushed for name in ("x", "y")]) * np.cos(t)[:, None]
+    data = la.Trajectory(t, q, coordinates=["x", "y"], forces=forces)
+    terms = [text for text in law if "/2" not in text]
+    request = Request(la.Library(terms, ["x", "y"]), known, dissipation=["y_dot**2/2"], hidden=["y"])
+    problem = build_problem(data, request).problem
+    grid = Grid.lay(problem, 8.0)
+    values = np.array([law[term.text] for term in problem.terms])
+    structure = Structure(problem.free)
+    motion = smooth(grid.spline, [t], [np.column_stack([q[:, 0], np.sin(1.3 * t)])])
+    fit = grid.fit(structure, grid.start(structure, motion.control_points, values, np.array([1e-4, 1.0])))
+    assert open_changes(replace(fit, coefficients=values)) == ({} if expected is None else {"y": expected})
+    assert open_scales(fit) == ({} if expected is None else {"y": expected})
 
 
 def again_is_the_same(model: la.LagrangianModel) -> None:

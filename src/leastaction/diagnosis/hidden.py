@@ -9,7 +9,7 @@ from leastaction.estimation.calibration import plausible_sizes
 from leastaction.estimation.fit import Fit
 from leastaction.findings import Finding, find
 from leastaction.hidden.band import curve_errors, errors_with_sensor
-from leastaction.hidden.gauge import open_changes, reflections
+from leastaction.hidden.gauge import open_changes, open_scales, reflections
 from leastaction.selection.search_state import Search
 
 __all__ = ["about_hidden", "about_sensors"]
@@ -47,6 +47,8 @@ def about_hidden(search: Search) -> list[Finding]:
     errors = [np.sqrt(np.mean(e**2, axis=0)) for e in curve_errors(fit, hidden, times)]
     spread = np.sqrt(np.mean([np.var(curve[:, hidden], axis=0) for curve in fit.curves()], axis=0))
     changes = open_changes(fit) if fit.usable else {}
+    if fit.usable and not fit.converged:
+        changes |= open_scales(fit)  # a fit that does not converge may have lost the terms that show it
     discrete = reflections(fit.problem, list(fit.structure))
     out: list[Finding] = []
     for column, i in enumerate(hidden):

@@ -7,7 +7,8 @@ their generators
     δφ = (∂φ/∂q_h) g + (∂φ/∂q̇_h) ġ,      g = 1, q_h, or a measured coordinate:
 
 A change is undetectable if the equations of Σ_k λ_k δφ_k are a linear combination of those of the free terms
-and, without known forces, of Σ_k λ_k φ_k itself, because L then describes the same motion on any scale.
+and, without known forces, of Σ_k λ_k φ_k itself, because L then describes the same motion on any scale. If
+known forces act on q_h alone, L(q_h) → s L(q_h / s) keeps them: then Σ_k λ_k (φ_k − δφ_k) is tested.
 Three discrete changes, q_h → −q_h, q_h → q_h + π and q_h → π − q_h, are tested term by term.
 
 A law may have a simpler form in another choice of the coordinate, q_h = s Q + c f(q) with s = ±1 and f = 1,
@@ -21,7 +22,7 @@ and its coefficients λ'(c) from a regression. The law of fewest terms is that i
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from typing import NamedTuple
 
@@ -31,11 +32,12 @@ from scipy.optimize import minimize_scalar
 
 from leastaction.estimation.fit import Fit
 from leastaction.estimation.problem import Problem
+from leastaction.estimation.structure import Structure
 from leastaction.library import Term
 from leastaction.mechanics import Points
 from leastaction.mechanics.euler_lagrange import EulerLagrange
 
-__all__ = ["Change", "Reflection", "Rewritten", "canonical", "open_changes", "reflections", "simpler_forms"]
+__all__ = ["canonical", "open_changes", "open_scales", "reflections", "simpler_forms"]
 
 _STATES = 200  # along the motion, at which equations are compared
 _MATTERS = 0.2  # of the largest coefficient of the same kind
@@ -126,15 +128,28 @@ def open_changes(fit: Fit) -> dict[str, tuple[str, ...]]:
     points = _states_about(fit)
     for i in problem.hidden:
         q = sp.Symbol(names[i], real=True)
-        generators: list[tuple[str, sp.Expr]] = [(OFFSET, sp.S.One)]
+        others = [k for k in range(len(names)) if k != i]
+        generators: list[tuple[str, sp.Expr, bool]] = [(OFFSET, sp.S.One, False)]
         if not _pushed(problem, i):
-            generators.append((SCALE, q))
-            others = [names[k] for k in range(len(names)) if k != i]
-            generators += [(f"{MIXING} with {other}", sp.Symbol(other, real=True)) for other in others]
-        found = tuple(kind for kind, g in generators if _is_open(fit, names[i], g, points))
+            generators.append((SCALE, q, False))
+            generators += [
+                (f"{MIXING} with {names[k]}", sp.Symbol(names[k], real=True), False) for k in others
+            ]
+        elif not any(_pushed(problem, k) for k in others):
+            generators.append((SCALE, q, True))
+        found = tuple(kind for kind, g, scaled in generators if _is_open(fit, names[i], g, points, scaled))
         if found:
             out[names[i]] = found
     return out
+
+
+def open_scales(fit: Fit) -> dict[str, tuple[str, ...]]:
+    """Hidden coordinates whose scale no law of the candidates fixes."""
+    problem = fit.problem
+    strong = problem.candidates.strong(_states_about(fit))
+    values = problem.completed(1.0 / (np.sqrt((strong**2).mean(axis=(1, 2))) + _TINY))
+    changes = open_changes(replace(fit, structure=Structure(problem.free), coefficients=values))
+    return {name: (SCALE,) for name, kinds in changes.items() if SCALE in kinds}
 
 
 def _pushed(problem: Problem, coordinate: int) -> bool:
@@ -156,8 +171,11 @@ def _sign(term: Term, name: str, kind: str) -> float:
     return np.nan
 
 
-def _is_open(fit: Fit, name: str, generator: sp.Expr, points: Points) -> bool:
-    """Whether a continuous change gives another law with the same free terms; symmetries do not count."""
+def _is_open(fit: Fit, name: str, generator: sp.Expr, points: Points, scaled: bool) -> bool:
+    """Whether a continuous change gives another law with the same free terms; symmetries do not count.
+
+    ``scaled``: L and ψ grow with the coordinate, so that a force on it stays as it is.
+    """
     problem, members = fit.problem, list(fit.structure)
     held = [*members, *np.flatnonzero(problem.is_known).tolist()]
     change = _variation(name, generator, problem.coordinates)
@@ -176,10 +194,11 @@ def _is_open(fit: Fit, name: str, generator: sp.Expr, points: Points) -> bool:
                 columns[:, places[k]] = value
         if not problem.trajectories.driven:  # without forces, all coefficients together have any scale
             columns[:, -1] = found @ values
-        expression = sp.Add(
-            *(sp.Float(float(c)) * change(problem.terms[k].expr) for k, c in zip(own, found, strict=True))
+        whole_law = sp.Add(
+            *(sp.Float(c) * problem.terms[k].expr for k, c in zip(own, found.tolist(), strict=True))
         )
-        law = EulerLagrange([Term("change", expression, kind)], problem.coordinates, problem.prescribed)
+        varied_law = change(whole_law) - int(scaled) * whole_law
+        law = EulerLagrange([Term("change", varied_law, kind)], problem.coordinates, problem.prescribed)
         varied.append(law.strong(points).ravel() / whole)
         allowed.append(columns / whole)
     target, matrix = np.concatenate(varied), np.concatenate(allowed)
