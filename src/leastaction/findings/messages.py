@@ -146,8 +146,7 @@ CODES: dict[str, Message] = {
     ),
     "hidden-start-unconfirmed": Message(
         "note",
-        "no law that was tried as a start for {subject} follows the measured motion closely, or clearly better "
-        "than others",
+        "no law tried as a start for {subject} follows the motion closely, or clearly better than others",
         "if the fit is doubtful, offer fewer candidates, give coefficients as known, or record for longer",
     ),
     "hidden-motion-open": Message(
