@@ -49,6 +49,7 @@ _REGULAR = 1e-5  # of Cholesky pivots: root of the share of a column that the ot
 _LARGEST_DAMPING = 1e8  # relative to the diagonal: steps vanish
 _LEAST_DAMPING = 1e-10  # relative to the diagonal: holds undetermined unknowns
 _SAMPLES = 1e5  # above this, the tolerance grows in proportion: 0.01 for 10⁷ samples took over 15 steps
+_FIRST_SHARE, _LEAST_SHARE = 0.25, 1e-3  # of an undamped step
 _MOST_IDLE = 3  # successive steps that gain less than the tolerance
 _RISING = (1e-4, 1e-2, 1.0)  # shares of the equation weights, raised in steps if a curve does not converge
 
@@ -75,6 +76,8 @@ class JointFit:
         Of H at the optimum; None if it is not positive definite, or was not formed.
     joint : (n_free + n_numbers,) * 2 array or None
         Covariance of the free coefficients and of the calibration numbers of sensors, if there are any.
+    refused : float
+        Decrease of the cost that the last undamped step promised, if it was rejected; otherwise 0.
     """
 
     control_points: np.ndarray
@@ -87,6 +90,7 @@ class JointFit:
     n_steps: int
     factor: CurveFactor | None = None
     joint: np.ndarray | None = None
+    refused: float = 0.0
 
     @property
     def converged(self) -> bool:
@@ -136,6 +140,7 @@ def fit_joint(
     linearisation: Linearised | None = None,
     tolerance: float = 1e-2,
     max_steps: int = 30,
+    in_valley: bool = False,
 ) -> JointFit:
     """Minimise the joint cost from a start.
 
@@ -147,6 +152,8 @@ def fit_joint(
         Stop when a step is predicted to lower the cost by less than this (a χ² of 0.01 is a tenth of a
         standard error). Above 100,000 samples the tolerance grows in proportion.  The step of the
         coefficients alone is tested by itself.
+    in_valley : bool
+        Take shares of undamped steps rather than damped ones.
 
     Returns
     -------
@@ -155,7 +162,8 @@ def fit_joint(
     """
     here = linearisation or linearise(observations, physics, control_points, coefficients, weights)
     control_points = here.control_points
-    cost, damping, status, step, idle = here.cost(weights), 0.0, "step limit", 0, 0
+    control = _Control(share=_FIRST_SHARE, in_valley=True) if in_valley else _Control()
+    cost, status, step, idle = here.cost(weights), "step limit", 0, 0
     if not np.isfinite(cost):
         return _fitted(coefficients, here, None, weights, "not finite", 0)
     in_all = tolerance * shared(observations)
@@ -164,31 +172,32 @@ def fit_joint(
     while step < max_steps:
         step += 1
         try:
-            shift, delta, predicted, own = _step(normal, damping, weights)
+            found = _step(normal, control.damping, weights)
         except np.linalg.LinAlgError:
-            damping = max(10.0 * damping, 1e-8)
-            if damping > _LARGEST_DAMPING:
+            control.damp(1e-8)
+            if control.damping > _LARGEST_DAMPING:
                 status = "not finite"
                 break
             continue
         normal = normal.lean()
+        shift, delta, predicted, own = control.shortened(found)
         new, there = moved((control_points, coefficients, weights), shift, delta)
         risen = there.cost(weights) - cost
-        if not damping and risen > 0.0:
-            wanted = risen + ESTIMATION.correction_saves * predicted
-            correction = _correction(there.normal(weights), wanted, ESTIMATION.correction_moves * own)
+        if not control.damping and risen > 0.0:
+            correction = _correction(there.normal(weights), risen, predicted, own, control.share)
             if correction is not None:
                 step += 1
                 del there
                 new, there = moved(new, *correction)
         new_cost = there.cost(weights)
+        small = found[3] < tolerance and found[2] < in_all
         if np.isfinite(new_cost) and new_cost <= cost + 1e-9 * abs(cost):
             idle = idle + 1 if cost - new_cost < in_all else 0
             (control_points, coefficients, weights), cost = new, new_cost
             normal, here = there.normal(weights), there.lean()
             del there
-            damping = damping / 10.0 if damping > 1e-6 else 0.0
-            if own < tolerance and predicted < in_all and damping < 1e-3:
+            control.accept()
+            if small and control.damping < 1e-3:
                 status = "converged"
                 break
             if idle == _MOST_IDLE:  # the predicted decrease is rounding
@@ -196,12 +205,52 @@ def fit_joint(
                 break
         else:
             del there
-            damping = max(10.0 * damping, 1e-4)
+            control.reject(predicted)
             # below the tolerance, progress is not measurable because of rounding
-            if (own < tolerance and predicted < in_all) or damping > _LARGEST_DAMPING:
+            if small or control.damping > _LARGEST_DAMPING or control.share < _LEAST_SHARE:
                 status = "stalled"
                 break
-    return _fitted(coefficients, here, normal, weights, status, step)
+    if status == "step limit" and control.in_valley:
+        status = "stalled"  # other weights may widen the valley
+    return replace(_fitted(coefficients, here, normal, weights, status, step), refused=control.refused)
+
+
+@dataclass
+class _Control:
+    """How far the next step goes: damped, or in a valley a share of the undamped step."""
+
+    damping: float = 0.0  # relative to the diagonal
+    share: float = 1.0  # of an undamped step
+    in_valley: bool = False
+    refused: float = 0.0  # decrease of the cost that the last undamped step promised, if it was rejected
+
+    def shortened(
+        self, step: tuple[np.ndarray, np.ndarray, float, float]
+    ) -> tuple[np.ndarray, np.ndarray, float, float]:
+        """The share of a step, with its predicted decreases of the cost."""
+        if self.damping or self.share == 1.0:
+            return step
+        shift, delta, predicted, own = step
+        less = (2.0 - self.share) * self.share
+        return self.share * shift, self.share * delta, less * predicted, less * own
+
+    def accept(self) -> None:
+        """Go further: less damping, or a larger share."""
+        if not self.damping:
+            self.share, self.refused = min(1.0, 2.0 * self.share), 0.0
+        self.damping = self.damping / 10.0 if self.damping > 1e-6 else 0.0
+
+    def reject(self, predicted: float) -> None:
+        """Go less far, after a step of which this decrease of the cost was predicted."""
+        if not self.damping:
+            self.refused = predicted
+        if self.in_valley:
+            self.share *= 0.25
+        else:
+            self.damp(1e-4)
+
+    def damp(self, least: float) -> None:
+        self.damping = max(10.0 * self.damping, least)
 
 
 def shared(observations: Measurements) -> float:
@@ -246,16 +295,25 @@ def _moved(
     return (there.control_points, coefficients, weights), there
 
 
-def _correction(normal: System, least: float, most: float) -> tuple[np.ndarray, np.ndarray] | None:
-    """The step from a point where the cost has risen, if it is predicted to lower it by ``least``.
+def _correction(
+    normal: System, risen: float, predicted: float, own: float, share: float
+) -> tuple[np.ndarray, np.ndarray] | None:
+    """The step from a point where the cost has risen, if it should lower it enough.
 
-    It corrects the curve: the predicted decrease from moving the coefficients must not exceed ``most``.
+    It corrects the curve. After a whole step, the decrease predicted from moving the coefficients must
+    therefore be small; after a share of one, they stay.
     """
+    least = risen + ESTIMATION.correction_saves * predicted
     try:
-        shift, delta, predicted, own = _step(normal, 0.0)
+        if share < 1.0:
+            quadratic = normal.eliminate()
+            delta = np.zeros_like(quadratic.gradient)
+            shift = -quadratic.curve_step(delta)
+            return (shift, delta) if quadratic.predicted(shift, delta) >= least else None
+        shift, delta, lowered, moved = _step(normal, 0.0)
     except np.linalg.LinAlgError:
         return None
-    return (shift, delta) if predicted >= least and own <= most else None
+    return (shift, delta) if lowered >= least and moved <= ESTIMATION.correction_moves * own else None
 
 
 def _fitted(

@@ -35,6 +35,7 @@ _FARTHEST_DOWN = np.log(3.0)  # of a nearly exact equation
 _HALVINGS = 4  # of a step of the weights
 _SHORTEST = 0.1  # smallest share of a change of the weights in one step
 _MOST_STEPS = 100  # limit for a structure
+_REFUSED = 0.1  # decrease of χ² promised by a rejected step, above which a settled fit goes on
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,8 +211,22 @@ def fit_weights(
         taken = _change(best.weights, fit.weights)
         best, best_evidence = fit, value
         if settled:
-            break
+            if best.refused <= _REFUSED * share:
+                break
+            fit = _along_valley(observations, physics, best)
+            value = evidence(observations, fit)
+            if not value > best_evidence + 0.5 * _REFUSED * share:
+                break
+            steps, best, best_evidence = steps + fit.n_steps, fit, value
     return best
+
+
+def _along_valley(observations: Measurements, physics: Physics, fit: JointFit) -> JointFit:
+    """Go on where damped steps stand still although the undamped one promises a decrease of the cost."""
+    start = fit.control_points, fit.coefficients
+    return fit_joint(
+        observations, physics, fit.weights, *start, linearisation=fit.linearisation, in_valley=True
+    )
 
 
 def _is_idle(observations: Measurements, physics: Physics, fit: JointFit, update: Weights) -> bool:
