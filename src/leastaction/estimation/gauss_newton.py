@@ -153,7 +153,7 @@ def fit_joint(
         standard error). Above 100,000 samples the tolerance grows in proportion.  The step of the
         coefficients alone is tested by itself.
     in_valley : bool
-        Take shares of undamped steps rather than damped ones.
+        Take shares of undamped steps rather than damped ones. At the step limit, the status is "stalled".
 
     Returns
     -------
@@ -190,7 +190,8 @@ def fit_joint(
                 del there
                 new, there = moved(new, *correction)
         new_cost = there.cost(weights)
-        small = found[3] < tolerance and found[2] < in_all
+        *_, whole, whole_own = found
+        small = whole_own < tolerance and whole < in_all
         if np.isfinite(new_cost) and new_cost <= cost + 1e-9 * abs(cost):
             idle = idle + 1 if cost - new_cost < in_all else 0
             (control_points, coefficients, weights), cost = new, new_cost

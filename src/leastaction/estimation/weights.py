@@ -160,9 +160,10 @@ def fit_weights(
 
     Stops when, from one round to the next, the coefficients move by less than a twentieth of a standard
     error, the degrees of freedom of the equation error by less than a twentieth, and the evidence by less
-    than a half. Above 100,000 samples these limits grow in proportion to their number, and that of the
-    coefficients, whose standard errors become smaller, with its square root. A round is then omitted if its
-    effect is predicted to be below them, because each of its steps is a pass over the recording.
+    than a half. If a rejected step still promised a likelier law, the fit goes on along the valley of the
+    cost that it points to. Above 100,000 samples these limits grow in proportion to their number, and that
+    of the coefficients, whose standard errors become smaller, with its square root. A round is then omitted
+    if its effect is predicted to be below them, because each of its steps is a pass over the recording.
     """
     best = fit_joint(observations, physics, start.weights, start.control_points, start.coefficients)
     best_evidence = evidence(observations, best)
