@@ -23,6 +23,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from itertools import product
 from typing import NamedTuple
 
@@ -73,20 +74,22 @@ class Reflection:
         turned = values if self.kind == HALF_TURN else -values
         return turned if self.kind == SIGN else turned + np.pi
 
+    def flipped(self, coefficients: np.ndarray) -> np.ndarray:
+        """(n_candidates,) coefficients after the change; those of candidates that leave the library stay."""
+        return np.where(self.signs == -1.0, -coefficients, coefficients)
+
 
 def reflections(problem: Problem, members: Sequence[int]) -> list[Reflection]:
     """Discrete changes that map the known terms and the terms of a structure to themselves."""
-    held = [*members, *np.flatnonzero(np.nan_to_num(problem.known)).tolist()]
+    known = np.flatnonzero(np.nan_to_num(problem.known))
     out: list[Reflection] = []
     for i in problem.hidden:
+        turning, pushed = problem.coordinates[i] in problem.candidates.turning, _pushed(problem, i)
         for kind in (SIGN, HALF_TURN, BOTH):
-            if kind != SIGN and problem.coordinates[i] not in problem.candidates.turning:
+            if (kind != SIGN and not turning) or (kind != HALF_TURN and pushed):
                 continue
-            if kind != HALF_TURN and _pushed(problem, i):
-                continue
-            signs = np.array([_sign(term, problem.coordinates[i], kind) for term in problem.terms])
-            known = np.flatnonzero(problem.is_known & (problem.known != 0.0))
-            if np.isfinite(signs[held]).all() and np.all(signs[known] == 1.0):
+            signs = np.array([_sign(term.expr, problem.coordinates[i], kind) for term in problem.terms])
+            if np.isfinite(signs[list(members)]).all() and np.all(signs[known] == 1.0):
                 out.append(Reflection(i, kind, signs))
     return out
 
@@ -126,18 +129,16 @@ def open_changes(fit: Fit) -> dict[str, tuple[str, ...]]:
     names = problem.coordinates
     out: dict[str, tuple[str, ...]] = {}
     points = _states_about(fit)
+    pushed = [k for k in range(len(names)) if _pushed(problem, k)]
     for i in problem.hidden:
         q = sp.Symbol(names[i], real=True)
-        others = [k for k in range(len(names)) if k != i]
-        generators: list[tuple[str, sp.Expr, bool]] = [(OFFSET, sp.S.One, False)]
-        if not _pushed(problem, i):
-            generators.append((SCALE, q, False))
-            generators += [
-                (f"{MIXING} with {names[k]}", sp.Symbol(names[k], real=True), False) for k in others
-            ]
-        elif not any(_pushed(problem, k) for k in others):
-            generators.append((SCALE, q, True))
-        found = tuple(kind for kind, g, scaled in generators if _is_open(fit, names[i], g, points, scaled))
+        generators: list[tuple[str, sp.Expr]] = [(OFFSET, sp.S.One)]
+        if i not in pushed or pushed == [i]:
+            generators.append((SCALE, q))
+        if i not in pushed:
+            generators += [(f"{MIXING} with {n}", sp.Symbol(n, real=True)) for n in names if n != names[i]]
+        own = i in pushed  # a change of scale is then one of L, too
+        found = tuple(k for k, g in generators if _is_open(fit, names[i], g, points, k == SCALE and own))
         if found:
             out[names[i]] = found
     return out
@@ -158,15 +159,16 @@ def _pushed(problem: Problem, coordinate: int) -> bool:
     return any(t.forces is not None and bool(np.any(t.forces[:, coordinate])) for t in data)
 
 
-def _sign(term: Term, name: str, kind: str) -> float:
+@lru_cache(maxsize=4096)  # a search compares many laws of the same terms
+def _sign(expr: sp.Expr, name: str, kind: str) -> float:
     """Factor of a term under a discrete change; NaN if it becomes another term."""
     q, rate = sp.Symbol(name, real=True), sp.Symbol(f"{name}_dot", real=True)
-    if not term.expr.free_symbols & {q, rate}:
+    if not expr.free_symbols & {q, rate}:
         return 1.0
     swaps = {SIGN: {q: -q, rate: -rate}, HALF_TURN: {q: q + sp.pi}, BOTH: {q: sp.pi - q, rate: -rate}}
-    changed = term.expr.xreplace(swaps[kind])
+    changed = expr.xreplace(swaps[kind])
     for sign in (1, -1):
-        if sp.expand(sp.expand_trig(changed - sign * term.expr)) == 0:
+        if sp.expand(sp.expand_trig(changed - sign * expr)) == 0:
             return float(sign)
     return np.nan
 

@@ -181,7 +181,7 @@ def _started(hunt: _Hunt, given: np.ndarray, confirmed: bool) -> HiddenStart:
     own, chained = hunt.everywhere(given)
     coefficients, motions = hunt.of_candidates(own), chained.values
     for change in canonical(problem, hunt.members, coefficients):
-        coefficients = coefficients * np.where(change.signs == -1.0, -1.0, 1.0)
+        coefficients = change.flipped(coefficients)
         column = problem.hidden.index(change.coordinate)
         for motion in motions:
             motion[:, column] = change.moved(motion[:, column])
@@ -277,7 +277,7 @@ class _Hunt:
         for coefficients in found.coefficients:
             values = self.of_candidates(coefficients)
             for change in canonical(self.problem, self.members, values):
-                values = values * np.where(change.signs == -1.0, -1.0, 1.0)
+                values = change.flipped(values)
             laws.append(values[self.in_lagrangian])
         size = np.maximum(np.abs(laws[0]), np.abs(laws))
         allowed = HIDDEN.same * np.maximum(size, self.sizes[self.in_lagrangian]) * (size > 0.0)
