@@ -104,6 +104,13 @@ class Problem:
         return self.candidates.prescribed
 
     @cached_property
+    def pushed(self) -> tuple[int, ...]:
+        """Coordinates on which a known force acts."""
+        data = self.trajectories
+        forces = [t.forces for t in data if t.forces is not None]
+        return tuple(i for i in range(data.n_dof) if any(np.any(f[:, i]) for f in forces))
+
+    @cached_property
     def is_known(self) -> np.ndarray:
         """(n_candidates,) truth values."""
         return ~np.isnan(self.known)

@@ -17,7 +17,15 @@ from leastaction.hidden.settings import HIDDEN
 from leastaction.hidden.windows import Windows
 from leastaction.mechanics import Points
 
-__all__ = ["Scales", "draw_begins", "draw_coefficients", "scales_of", "signs_without", "term_sizes"]
+__all__ = [
+    "Scales",
+    "draw_begins",
+    "draw_coefficients",
+    "has_negative_mass",
+    "scales_of",
+    "signs_without",
+    "term_sizes",
+]
 
 _POINTS = 64  # states at which terms are compared
 _TRIED = 4000  # draws, of which those with a positive mass matrix stay
@@ -147,6 +155,16 @@ def draw_coefficients(
     good = np.all(lowest[..., 0] > _POSITIVE * lowest[..., -1], axis=1)
     order = np.argsort(~good, kind="stable")
     return drawn[order[: HIDDEN.stages[0][2]]]
+
+
+def has_negative_mass(
+    problem: Problem, coefficients: np.ndarray, windows: Windows, scales: Scales, rng: np.random.Generator
+) -> bool:
+    """Whether the mean kinetic energy of drawn states is negative; all candidates have coefficients."""
+    points = _states(windows, scales, rng)
+    mass = problem.candidates.mass_matrix(points, coefficients)
+    qdot = np.array(points.columns).reshape(3, scales.q.size, -1)[1]
+    return float(np.einsum("ip,pij,jp->", qdot, mass, qdot)) < 0.0
 
 
 def draw_begins(scales: Scales, hidden: tuple[int, ...], rng: np.random.Generator) -> np.ndarray:

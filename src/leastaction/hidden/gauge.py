@@ -38,13 +38,13 @@ from leastaction.library import Term
 from leastaction.mechanics import Points
 from leastaction.mechanics.euler_lagrange import EulerLagrange
 
-__all__ = ["canonical", "open_changes", "open_scales", "reflections", "simpler_forms"]
+__all__ = ["Reflection", "canonical", "open_changes", "open_scales", "reflections", "simpler_forms"]
 
-_STATES = 200  # along the motion, at which equations are compared
 _MATTERS = 0.2  # of the largest coefficient of the same kind
+_STATES = 200  # along the motion, at which equations are compared
 _ZEROS = 72  # changes that are compared; between them the coefficients are interpolated
 _VANISHES = 0.05  # of the largest value of a coefficient over all changes
-_REACH = 3.0  # of the spread of a hidden length: changes are looked for up to here
+_REACH = 3.0  # of the spread of a hidden length about its mean: changes are looked for up to here
 _TINY = 1e-300  # added to divisors that may vanish
 _WRITTEN = 1e-5  # share of a law that candidates may not write, after a search for the amount of the change
 _EXACT = 1e-7  # relative residual by rounding of equations that are a linear combination of others
@@ -79,16 +79,22 @@ class Reflection:
         return np.where(self.signs == -1.0, -coefficients, coefficients)
 
 
-def reflections(problem: Problem, members: Sequence[int]) -> list[Reflection]:
-    """Discrete changes that map the known terms and the terms of a structure to themselves."""
+def reflections(problem: Problem, members: Sequence[int], *, inverted: bool = False) -> list[Reflection]:
+    """Discrete changes that map the known terms and the terms of a structure to themselves.
+
+    ``inverted``: those that do so with −L in place of L, which without forces describes the same motion.
+    """
     known = np.flatnonzero(np.nan_to_num(problem.known))
     out: list[Reflection] = []
+    if inverted and problem.trajectories.driven:
+        return out
     for i in problem.hidden:
-        turning, pushed = problem.coordinates[i] in problem.candidates.turning, _pushed(problem, i)
+        turning, pushed = problem.coordinates[i] in problem.candidates.turning, i in problem.pushed
         for kind in (SIGN, HALF_TURN, BOTH):
             if (kind != SIGN and not turning) or (kind != HALF_TURN and pushed):
                 continue
             signs = np.array([_sign(term.expr, problem.coordinates[i], kind) for term in problem.terms])
+            signs = -signs if inverted else signs
             if np.isfinite(signs[list(members)]).all() and np.all(signs[known] == 1.0):
                 out.append(Reflection(i, kind, signs))
     return out
@@ -123,17 +129,29 @@ def _is_kinetic(problem: Problem, k: int) -> bool:
     return problem.terms[k].kind == "lagrangian" and any(name.endswith("_dot") for name in names)
 
 
+@lru_cache(maxsize=4096)  # a search compares many laws of the same terms
+def _sign(expr: sp.Expr, name: str, kind: str) -> float:
+    """Factor of a term under a discrete change; NaN if it becomes another term."""
+    q, rate = sp.Symbol(name, real=True), sp.Symbol(f"{name}_dot", real=True)
+    if not expr.free_symbols & {q, rate}:
+        return 1.0
+    swaps = {SIGN: {q: -q, rate: -rate}, HALF_TURN: {q: q + sp.pi}, BOTH: {q: sp.pi - q, rate: -rate}}
+    changed = expr.xreplace(swaps[kind])
+    for sign in (1, -1):
+        if sp.expand(sp.expand_trig(changed - sign * expr)) == 0:
+            return float(sign)
+    return np.nan
+
+
 def open_changes(fit: Fit) -> dict[str, tuple[str, ...]]:
     """Hidden coordinate → kinds of continuous changes that cannot be detected with these candidates."""
-    problem = fit.problem
-    names = problem.coordinates
+    problem, points = fit.problem, _states_about(fit)
+    names, pushed = problem.coordinates, problem.pushed
     out: dict[str, tuple[str, ...]] = {}
-    points = _states_about(fit)
-    pushed = [k for k in range(len(names)) if _pushed(problem, k)]
     for i in problem.hidden:
         q = sp.Symbol(names[i], real=True)
         generators: list[tuple[str, sp.Expr]] = [(OFFSET, sp.S.One)]
-        if i not in pushed or pushed == [i]:
+        if i not in pushed or pushed == (i,):
             generators.append((SCALE, q))
         if i not in pushed:
             generators += [(f"{MIXING} with {n}", sp.Symbol(n, real=True)) for n in names if n != names[i]]
@@ -151,26 +169,6 @@ def open_scales(fit: Fit) -> dict[str, tuple[str, ...]]:
     values = problem.completed(1.0 / (np.sqrt((strong**2).mean(axis=(1, 2))) + _TINY))
     changes = open_changes(replace(fit, structure=Structure(problem.free), coefficients=values))
     return {name: (SCALE,) for name, kinds in changes.items() if SCALE in kinds}
-
-
-def _pushed(problem: Problem, coordinate: int) -> bool:
-    """Whether a known force acts on a coordinate."""
-    data = problem.trajectories
-    return any(t.forces is not None and bool(np.any(t.forces[:, coordinate])) for t in data)
-
-
-@lru_cache(maxsize=4096)  # a search compares many laws of the same terms
-def _sign(expr: sp.Expr, name: str, kind: str) -> float:
-    """Factor of a term under a discrete change; NaN if it becomes another term."""
-    q, rate = sp.Symbol(name, real=True), sp.Symbol(f"{name}_dot", real=True)
-    if not expr.free_symbols & {q, rate}:
-        return 1.0
-    swaps = {SIGN: {q: -q, rate: -rate}, HALF_TURN: {q: q + sp.pi}, BOTH: {q: sp.pi - q, rate: -rate}}
-    changed = expr.xreplace(swaps[kind])
-    for sign in (1, -1):
-        if sp.expand(sp.expand_trig(changed - sign * expr)) == 0:
-            return float(sign)
-    return np.nan
 
 
 def _is_open(fit: Fit, name: str, generator: sp.Expr, points: Points, scaled: bool) -> bool:
@@ -327,12 +325,13 @@ def _is_mirrored(term: Term, names: Sequence[str]) -> bool:
 
 def _families(fit: Fit, coordinate: int) -> Iterator[list[Change]]:
     """Changes of each kind, by amount."""
-    problem, turning = fit.problem, fit.problem.candidates.turning
-    names, curves = problem.coordinates, np.concatenate(list(fit.curves()))
-    pushed, spread = _pushed(problem, coordinate), _REACH * float(curves[:, coordinate].std())
+    problem, curves = fit.problem, np.concatenate(list(fit.curves()))
+    names, turning = problem.coordinates, problem.candidates.turning
+    pushed, own = coordinate in problem.pushed, curves[:, coordinate]
+    middle, spread = abs(float(own.mean())), _REACH * float(own.std())
     steps = np.linspace(-1.0, 1.0, _ZEROS + 1)
     angle = names[coordinate] in turning
-    kinds = [("1", coordinate, np.pi if angle else spread)]
+    kinds = [("1", coordinate, np.pi if angle else middle + spread)]
     if not (pushed or angle):
         for i in set(range(len(names))) - {coordinate}:
             for function in ("sin", "cos") if names[i] in turning else ("q",):

@@ -19,6 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from leastaction.hidden.settings import HIDDEN
 from leastaction.hidden.windows import Solutions, Windows
 from leastaction.mechanics.equations import Mechanics, solve
 from leastaction.simulation.integrate import rk4
@@ -263,7 +264,7 @@ class Shooter:
             damping = np.where(better, 0.1 * damping, 10.0 * damping)
         return Solutions(coefficients, flat.reshape(states.shape), cost.reshape(n_sets, n_runs))
 
-    def fit(self, start: Solutions, sizes: np.ndarray, rounds: int) -> Solutions:
+    def fit(self, start: Solutions, sizes: np.ndarray, rounds: int, *, race: bool = False) -> Solutions:
         """Fit coefficients and initial states of every set together.
 
         A normal prior of standard deviation ``sizes`` draws coefficients of little effect to zero. The
@@ -277,20 +278,26 @@ class Shooter:
             Standard deviations of the coefficients in the prior.
         rounds : int
             Steps of the fit.
+        race : bool
+            Give up sets whose cost falls too slowly to come near the lowest one.
         """
         point = self._at(start.states, start.coefficients, sizes)
         found = Solutions(point.coefficients.copy(), point.states.copy(), point.deviation.copy())
         going = np.arange(len(point.coefficients))
         damping, idle = np.full(going.size, _FIRST_DAMPING), np.zeros(going.size, dtype=int)
-        for _ in range(rounds):
+        costs = [found.cost]
+        for left in range(rounds - 1, -1, -1):
             trial, gain = self._tried(point, damping, sizes)
             better = gain > 0.0
             point = point.where(better, trial)
             found.coefficients[going], found.states[going] = point.coefficients, point.states
             found.deviation[going] = point.deviation
-            damping = np.where(better, np.maximum(0.2 * damping, 1e-8), 8.0 * damping)
+            damping = np.where(better, np.maximum(0.5 * damping, 1e-8), 4.0 * damping)
             idle = np.where(gain > _GAIN, 0, idle + 1)
+            costs = [*costs[-_IDLE:], found.cost]
             kept = idle < _IDLE
+            if race and len(costs) > _IDLE:
+                kept &= _competing(costs, left / _IDLE)[going]
             if not kept.all():
                 going, damping, idle, point = going[kept], damping[kept], idle[kept], point.of(kept)
             if not going.size:
@@ -359,6 +366,13 @@ def _precision(windows: Windows) -> type[np.floating]:
     largest = np.abs(windows.q[..., measured]).max(axis=(0, 1))
     rounding = np.finfo(np.float32).eps * largest
     return np.float32 if np.all(rounding < _ROUNDING * windows.scale[measured]) else np.float64
+
+
+def _competing(costs: list[np.ndarray], further: float) -> np.ndarray:
+    """Which sets come near the lowest cost if it falls ``further`` times as much as from first to last."""
+    first, last = costs[0], costs[-1]
+    falls = np.minimum(last / (first + _TINY), 1.0)
+    return last * falls**further <= HIDDEN.stands_out * last.min()
 
 
 def _cost(

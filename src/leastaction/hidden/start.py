@@ -26,8 +26,15 @@ from leastaction.estimation.hidden import knots_of_all, lacking
 from leastaction.estimation.problem import Problem
 from leastaction.estimation.structure import Structure
 from leastaction.hidden.chain import Chained, chain, continued, preceding
-from leastaction.hidden.draws import draw_begins, draw_coefficients, scales_of, signs_without, term_sizes
-from leastaction.hidden.gauge import canonical
+from leastaction.hidden.draws import (
+    draw_begins,
+    draw_coefficients,
+    has_negative_mass,
+    scales_of,
+    signs_without,
+    term_sizes,
+)
+from leastaction.hidden.gauge import Reflection, canonical, reflections
 from leastaction.hidden.settings import HIDDEN
 from leastaction.hidden.shooting import Shooter
 from leastaction.hidden.windows import Solutions, Windows, cut_windows
@@ -99,9 +106,10 @@ def find_start(
         found = fitted if found is None else found.joined(fitted)
         close = fitted.following(HIDDEN.closely)
         stands_out, agree = hunt.compared(found)
-        tested = _tested(hunt, close) if strict or hunt.several(close) else close
+        enough = not strict and (agree or hunt.is_clear(close))
+        tested = close if enough else _tested(hunt, close)
         passed = tested.following(HIDDEN.closely)
-        confirmed = bool(len(passed)) or agree or (bool(len(close)) and not strict)
+        confirmed = bool(len(passed)) or agree
         if confirmed:
             break
         if len(close):
@@ -180,7 +188,7 @@ def _started(hunt: _Hunt, given: np.ndarray, confirmed: bool) -> HiddenStart:
     problem = hunt.problem
     own, chained = hunt.everywhere(given)
     coefficients, motions = hunt.of_candidates(own), chained.values
-    for change in canonical(problem, hunt.members, coefficients):
+    for change in hunt.conventional(coefficients):
         coefficients = change.flipped(coefficients)
         column = problem.hidden.index(change.coordinate)
         for motion in motions:
@@ -249,7 +257,8 @@ class _Hunt:
         coefficients = given.best(sets).coefficients
         begins = np.stack([self._begins()] * len(coefficients))
         screened = shooter.screen(coefficients, begins, HIDDEN.kept, HIDDEN.state_rounds, _doublings(factor))
-        return shooter.fit(screened.of_windows(len(shooter.windows)), self.sizes[self.members], rounds)
+        start, race = screened.of_windows(len(shooter.windows)), factor >= HIDDEN.last[0]
+        return shooter.fit(start, self.sizes[self.members], rounds, race=race)
 
     def of_candidates(self, coefficients: np.ndarray) -> np.ndarray:
         """(n_candidates,) coefficients, known ones included, of (n_members,)."""
@@ -257,31 +266,32 @@ class _Hunt:
         values[self.members] = coefficients
         return self.problem.completed(values)
 
+    def conventional(self, coefficients: np.ndarray) -> list[Reflection]:
+        """Changes to the conventional signs and zeros of a law, and to L if it is −L; of all candidates."""
+        problem, members = self.problem, self.members
+        negative = has_negative_mass(problem, coefficients, self.first, self.scales, self.rng)
+        first = reflections(problem, members, inverted=True)[:1] if negative else []
+        for change in first:
+            coefficients = change.flipped(coefficients)
+        return [*first, *canonical(problem, members, coefficients)]
+
     def several(self, found: Solutions) -> bool:
-        """Whether the two best sets are different laws."""
-        return len(found) > 1 and not self._alike(found.best(2))[1]
+        """Whether another law costs little more than the best."""
+        best = found.best(_COMPARED)
+        return bool(np.any(best.cost < HIDDEN.stands_out * best.cost[:1], where=~self._alike(best)))
+
+    def is_clear(self, found: Solutions) -> bool:
+        """Whether the best law follows in nearly all windows, and no other costs little more."""
+        return not self.several(found) and bool(np.all(found.best(1).cost <= np.log1p(HIDDEN.closely**2)))
 
     def compared(self, found: Solutions) -> tuple[bool, bool]:
         """Whether the best law follows and costs clearly less than others, and whether a second set is it."""
         best = found.best(_COMPARED)
-        alike = self._alike(best)
-        others = best.cost[~alike]
-        stands_out = best.typical[0] <= HIDDEN.follows and not np.any(
-            others < HIDDEN.stands_out * best.cost[0]
-        )
-        return bool(stands_out), bool(stands_out and alike[1:].any())
+        stands_out = best.typical[0] <= HIDDEN.follows and not self.several(found)
+        return bool(stands_out), bool(stands_out and self._alike(best)[1:].any())
 
     def _alike(self, found: Solutions) -> np.ndarray:
-        """Which sets have the L of the first one, up to the choice of a sign or zero."""
-        laws: list[np.ndarray] = []
-        for coefficients in found.coefficients:
-            values = self.of_candidates(coefficients)
-            for change in canonical(self.problem, self.members, values):
-                values = change.flipped(values)
-            laws.append(values[self.in_lagrangian])
-        size = np.maximum(np.abs(laws[0]), np.abs(laws))
-        allowed = HIDDEN.same * np.maximum(size, self.sizes[self.in_lagrangian]) * (size > 0.0)
-        return np.all(np.abs(laws - laws[0]) <= allowed, axis=1)
+        return found.alike([self.mechanics.n_dof + i for i in self.problem.hidden])
 
     def everywhere(self, given: np.ndarray) -> tuple[np.ndarray, Chained]:
         """(n_members,) coefficients of a law, from (1, n_members), and its motion along every trajectory.

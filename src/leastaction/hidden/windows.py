@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -103,6 +104,20 @@ class Solutions:
         """The sets that typically deviate by at most so much."""
         kept = self.typical <= closely
         return Solutions(self.coefficients[kept], self.states[kept], self.deviation[kept])
+
+    def alike(self, columns: Sequence[int]) -> np.ndarray:
+        """Which sets have the same motion as the first one, up to the unit and direction of these states.
+
+        Initial states are correlated where both sets follow as closely as usual, in more than half the
+        windows. The columns are those of rates, which do not depend on the zero of a coordinate.
+        """
+        usual = self.deviation <= HIDDEN.usual * np.median(self.deviation, axis=1, keepdims=True)
+        both = usual & usual[:1]
+        own = self.states[..., list(columns)]
+        first = np.broadcast_to(own[:1], own.shape)
+        (x, y), xy = (np.einsum("sw,swi->si", both, z**2) for z in (first, own)), first * own
+        same = np.abs(np.einsum("sw,swi->si", both, xy)) >= HIDDEN.same * np.sqrt(x * y)
+        return np.all(same, axis=1) & (2 * both.sum(axis=1) > both.shape[1])
 
     def of_windows(self, n_windows: int, kept: int = 1) -> Solutions:
         """The best solutions of each window, where there are more."""
