@@ -41,8 +41,8 @@ import leastaction as la
 from leastaction import arms
 from leastaction.estimation.build import Request, build_problem
 from leastaction.estimation.grid import Grid
+from leastaction.estimation.problem import Structure
 from leastaction.estimation.simulation_error import minimise_simulation_error
-from leastaction.estimation.structure import Structure
 from leastaction.threads import single_threaded
 
 PATH = Path(__file__).parents[1] / "examples" / "data" / "driven_double_pendulum.csv.gz"

@@ -23,10 +23,9 @@ from leastaction.estimation.exact_limit import towards_exact
 from leastaction.estimation.fit import Fit
 from leastaction.estimation.grid import Grid
 from leastaction.estimation.joint import Physics, Weights
-from leastaction.estimation.problem import Problem
+from leastaction.estimation.problem import Problem, Structure
 from leastaction.estimation.protocols import linearise
 from leastaction.estimation.simulation_error import minimise_simulation_error
-from leastaction.estimation.structure import Structure
 from leastaction.findings import Finding
 from leastaction.identifiers import names_in_terms
 from leastaction.library import Term

@@ -23,7 +23,7 @@ from leastaction.data.trajectories import Trajectories, Trajectory
 from leastaction.errors import DataError, InputError
 from leastaction.estimation.build import Request, build_problem
 from leastaction.estimation.grid import Grid
-from leastaction.estimation.structure import Structure
+from leastaction.estimation.problem import Structure
 from leastaction.estimation.weights import Start
 from leastaction.library import Library
 from leastaction.model.model import LagrangianModel

@@ -26,11 +26,10 @@ from leastaction.estimation.fit import Fit
 from leastaction.estimation.force_bias import no_bias
 from leastaction.estimation.grid import Grid
 from leastaction.estimation.hidden import knots_of_all
-from leastaction.estimation.problem import Problem
+from leastaction.estimation.problem import Problem, Structure
 from leastaction.estimation.profile import profiled
 from leastaction.estimation.shape_ranges import ShapeRange, shape_ranges
 from leastaction.estimation.shapes import fit_shapes
-from leastaction.estimation.structure import Structure
 from leastaction.findings import Finding, find
 from leastaction.identifiers import names_in_terms
 from leastaction.library import Kind, Library, Term, make_term, shape_names

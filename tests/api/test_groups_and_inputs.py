@@ -25,7 +25,7 @@ from leastaction.estimation.gauss_newton import fit_joint
 from leastaction.estimation.grid import Grid
 from leastaction.estimation.groups import GroupedColumns, GroupTerm
 from leastaction.estimation.intervals import first_points, points_at
-from leastaction.estimation.structure import Structure
+from leastaction.estimation.problem import Structure
 from leastaction.estimation.weights import evidence, fit_weights
 from leastaction.mechanics.euler_lagrange import EulerLagrange, Points
 from leastaction.model.diagnostics import PathPoint

@@ -20,8 +20,8 @@ from leastaction.diagnosis.effects import Effects
 from leastaction.errors import InputError
 from leastaction.estimation.build import Request, build_problem
 from leastaction.estimation.grid import Grid
+from leastaction.estimation.problem import Structure
 from leastaction.estimation.shapes import fit_shapes
-from leastaction.estimation.structure import Structure
 from leastaction.model.model import LagrangianModel
 from leastaction.model.term import ModelTerm, ShapeParameter
 from leastaction.report.captions import profile_title

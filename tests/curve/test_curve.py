@@ -31,8 +31,7 @@ from leastaction.curve.knots import lay_knots
 from leastaction.curve.outliers import leave_out_outliers
 from leastaction.curve.smoothing import banded_gram, smooth
 from leastaction.estimation.grid import Grid
-from leastaction.estimation.problem import Problem
-from leastaction.estimation.structure import Structure
+from leastaction.estimation.problem import Problem, Structure
 
 # ----------------------------------------------------------------------- B-splines: the laws that define them
 DEGREES = [3, 4, 5, 6, 7]

@@ -37,8 +37,8 @@ from leastaction.estimation.gauss_newton import fit_joint, score_candidates
 from leastaction.estimation.grid import Grid
 from leastaction.estimation.joint import Physics, Weights, linearise
 from leastaction.estimation.observations import Observations
+from leastaction.estimation.problem import Structure
 from leastaction.estimation.simulation_error import minimise_simulation_error
-from leastaction.estimation.structure import Structure
 from leastaction.estimation.weights import (
     Start,
     _secant,

@@ -25,9 +25,8 @@ from leastaction.estimation.grid import Grid
 from leastaction.estimation.joint import Physics, Weights, linearise
 from leastaction.estimation.linkage import _circle
 from leastaction.estimation.observations import Observations
-from leastaction.estimation.problem import Problem
+from leastaction.estimation.problem import Problem, Structure
 from leastaction.estimation.sensors import SensorFunctions
-from leastaction.estimation.structure import Structure
 from leastaction.mechanics.euler_lagrange import EulerLagrange, Points
 
 COORDINATES = ["x", "theta"]

@@ -56,12 +56,11 @@ from leastaction.estimation.gauss_newton import fit_joint
 from leastaction.estimation.grid import Grid
 from leastaction.estimation.joint import Physics
 from leastaction.estimation.observations import Observations
-from leastaction.estimation.problem import Problem
+from leastaction.estimation.problem import Problem, Structure
 from leastaction.estimation.protocols import linearise
 from leastaction.estimation.shape_ranges import ShapeRange, shape_ranges
 from leastaction.estimation.shapes import fit_shapes
 from leastaction.estimation.streamed import StreamedObservations
-from leastaction.estimation.structure import Structure
 from leastaction.estimation.weights import evidence
 from leastaction.library import make_term
 from leastaction.mechanics.euler_lagrange import EulerLagrange, Points

@@ -19,7 +19,7 @@ from leastaction.data.trajectories import Trajectories
 from leastaction.errors import InputError
 from leastaction.estimation.build import Request, build_problem
 from leastaction.estimation.grid import Grid
-from leastaction.estimation.structure import Structure
+from leastaction.estimation.problem import Structure
 from leastaction.hidden import band
 from leastaction.hidden.band import curve_errors, errors_with_sensor
 from leastaction.hidden.chain import chain, continued, preceding

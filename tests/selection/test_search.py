@@ -25,9 +25,9 @@ from leastaction.curve.knots import lay_knots
 from leastaction.estimation.build import Request, build_problem
 from leastaction.estimation.forces import curve_between, fast_forces_act
 from leastaction.estimation.grid import Grid
+from leastaction.estimation.problem import Structure
 from leastaction.estimation.shapes import fit_shapes
 from leastaction.estimation.simulation_error import LinearRuns
-from leastaction.estimation.structure import Structure
 from leastaction.library import Library
 from leastaction.selection.free_run_terms import _Choice
 from leastaction.selection.likelihood_refinement import value

@@ -13,9 +13,9 @@ from leastaction.data.trajectories import Trajectories, Trajectory
 from leastaction.estimation.gauss_newton import JointFit, Quadratic, score_candidates
 from leastaction.estimation.intervals import first_points
 from leastaction.estimation.joint import Weights
+from leastaction.estimation.problem import Structure
 from leastaction.estimation.protocols import Linearised
 from leastaction.estimation.sensors import SensorObservations
-from leastaction.estimation.structure import Structure
 from leastaction.estimation.weights import Start
 from leastaction.mechanics.euler_lagrange import EulerLagrange, Points
 

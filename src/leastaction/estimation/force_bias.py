@@ -24,8 +24,8 @@ from leastaction.estimation.forces import WithPushes
 from leastaction.estimation.gauss_newton import JointFit, fit_joint
 from leastaction.estimation.grid import Grid
 from leastaction.estimation.joint import Physics
+from leastaction.estimation.problem import Structure
 from leastaction.estimation.settings import ESTIMATION
-from leastaction.estimation.structure import Structure
 from leastaction.estimation.weights import Start
 from leastaction.findings import Finding, find
 

@@ -21,11 +21,10 @@ from leastaction.estimation.forces import Between, GridForces, curve_between, fo
 from leastaction.estimation.gauss_newton import fit_joint
 from leastaction.estimation.intervals import first_points
 from leastaction.estimation.joint import Physics
-from leastaction.estimation.problem import Problem
+from leastaction.estimation.problem import Problem, Structure
 from leastaction.estimation.protocols import Measurements
 from leastaction.estimation.sensors import SensorObservations
 from leastaction.estimation.streamed import is_long
-from leastaction.estimation.structure import Structure
 from leastaction.estimation.volume import positive_definite
 from leastaction.estimation.weights import Start, evidence, fit_curve, fit_weights, start_weights
 

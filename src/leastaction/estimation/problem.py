@@ -1,4 +1,4 @@
-"""A problem: data, candidates, known coefficients and excluded candidates.
+"""A problem: data, candidates, known coefficients and excluded candidates; and sets of its candidates.
 
 The equations of motion are
 
@@ -10,7 +10,7 @@ known forces f.  It never changes; a step that adds information returns a new pr
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -22,11 +22,56 @@ from leastaction.estimation.crew import Crew
 from leastaction.estimation.forces import Between
 from leastaction.estimation.sensors import Sensors
 from leastaction.estimation.shape_ranges import ShapeRange
-from leastaction.estimation.structure import Structure
 from leastaction.library import Dropped, Term, shape_names
 from leastaction.mechanics.euler_lagrange import EulerLagrange
 
-__all__ = ["Problem"]
+__all__ = ["Problem", "Structure"]
+
+
+@dataclass(frozen=True, init=False)
+class Structure:
+    """A set of free candidates of one problem.
+
+    Attributes
+    ----------
+    members : tuple of int
+        Their indices among the candidates, in rising order. Known candidates belong to every structure and
+        are not listed.
+
+    Examples
+    --------
+    >>> Structure([4, 1]).members
+    (1, 4)
+    >>> Structure([4, 1]).without([4])
+    Structure(members=(1,))
+    """
+
+    members: tuple[int, ...]
+
+    def __init__(self, members: Iterable[int] = ()) -> None:
+        object.__setattr__(self, "members", tuple(sorted(int(m) for m in members)))
+
+    def __len__(self) -> int:
+        return len(self.members)
+
+    def __iter__(self) -> Iterator[int]:
+        return iter(self.members)
+
+    def __contains__(self, member: object) -> bool:
+        return member in self.members
+
+    def __le__(self, other: Structure) -> bool:
+        """Whether every member is in the other structure, too."""
+        return set(self.members) <= set(other.members)
+
+    def without(self, members: Iterable[int]) -> Structure:
+        """The structure with some members left out."""
+        out = set(members)
+        return Structure(m for m in self.members if m not in out)
+
+    def with_(self, members: Iterable[int]) -> Structure:
+        """The structure with further members."""
+        return Structure({*self.members, *members})
 
 
 @dataclass(frozen=True, eq=False)

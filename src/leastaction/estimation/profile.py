@@ -15,9 +15,8 @@ import numpy as np
 
 from leastaction.estimation.fit import Fit
 from leastaction.estimation.gauss_newton import JointFit, fit_joint
-from leastaction.estimation.problem import Problem
+from leastaction.estimation.problem import Problem, Structure
 from leastaction.estimation.shapes import with_tangents
-from leastaction.estimation.structure import Structure
 from leastaction.estimation.weights import evidence
 
 __all__ = ["profiled"]

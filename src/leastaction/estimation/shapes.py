@@ -16,9 +16,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from leastaction.estimation.fit import Fit, ShapeEstimate
-from leastaction.estimation.problem import Problem
+from leastaction.estimation.problem import Problem, Structure
 from leastaction.estimation.settings import ESTIMATION
-from leastaction.estimation.structure import Structure
 from leastaction.estimation.weights import Start
 from leastaction.library import Term, tangent
 

@@ -24,7 +24,7 @@ from scipy.optimize import least_squares
 from leastaction.curve.smoothing import Smooth
 from leastaction.data.trajectories import Trajectory
 from leastaction.estimation.grid import Grid
-from leastaction.estimation.structure import Structure
+from leastaction.estimation.problem import Structure
 from leastaction.library import has_direction
 from leastaction.mechanics.equations import Mechanics
 from leastaction.simulation.integrate import rk4

@@ -32,8 +32,7 @@ import sympy as sp
 from scipy.optimize import minimize_scalar
 
 from leastaction.estimation.fit import Fit
-from leastaction.estimation.problem import Problem
-from leastaction.estimation.structure import Structure
+from leastaction.estimation.problem import Problem, Structure
 from leastaction.library import Term
 from leastaction.mechanics import Points
 from leastaction.mechanics.euler_lagrange import EulerLagrange

@@ -23,8 +23,7 @@ from leastaction.curve.smoothing import Smooth
 from leastaction.data.coerce import arranged
 from leastaction.data.trajectories import Trajectories, Trajectory
 from leastaction.estimation.hidden import knots_of_all, lacking
-from leastaction.estimation.problem import Problem
-from leastaction.estimation.structure import Structure
+from leastaction.estimation.problem import Problem, Structure
 from leastaction.hidden.chain import Chained, chain, continued, preceding
 from leastaction.hidden.draws import (
     draw_begins,

@@ -13,7 +13,7 @@ import numpy as np
 
 from leastaction.estimation.fit import Fit
 from leastaction.estimation.gauss_newton import symmetric_inverse
-from leastaction.estimation.structure import Structure
+from leastaction.estimation.problem import Structure
 from leastaction.selection.likelihood_refinement import Neighbourhood, penalty, value
 from leastaction.selection.likelihood_search import Choice, trade_off
 from leastaction.selection.strategies.irrelevant_terms import price_of_terms

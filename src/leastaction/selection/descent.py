@@ -14,9 +14,8 @@ from leastaction.estimation.fit import Fit
 from leastaction.estimation.gauss_newton import JointFit
 from leastaction.estimation.grid import Grid, greville_sites
 from leastaction.estimation.joint import Physics, Weights
-from leastaction.estimation.problem import Problem
+from leastaction.estimation.problem import Problem, Structure
 from leastaction.estimation.protocols import linearise
-from leastaction.estimation.structure import Structure
 from leastaction.selection.search_state import Search
 
 __all__ = ["run_descent"]

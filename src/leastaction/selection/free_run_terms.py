@@ -25,6 +25,7 @@ import numpy as np
 from leastaction.curve.smoothing import Smooth
 from leastaction.estimation.fit import Fit
 from leastaction.estimation.grid import Grid
+from leastaction.estimation.problem import Structure
 from leastaction.estimation.simulation_error import (
     LinearChoice,
     LinearRuns,
@@ -32,7 +33,6 @@ from leastaction.estimation.simulation_error import (
     linear_runs,
     minimise_simulation_error,
 )
-from leastaction.estimation.structure import Structure
 from leastaction.library import has_direction
 from leastaction.selection.significance import normal_cutoff
 

@@ -28,8 +28,7 @@ from leastaction.estimation.build import ENOUGH_SAMPLES, Setup
 from leastaction.estimation.fit import Fit
 from leastaction.estimation.grid import Grid
 from leastaction.estimation.groups import Grouping, GroupTerm, grouped
-from leastaction.estimation.problem import Problem
-from leastaction.estimation.structure import Structure
+from leastaction.estimation.problem import Problem, Structure
 from leastaction.estimation.weights import Start
 from leastaction.selection.likelihood_refinement import penalty, value
 from leastaction.selection.likelihood_search import QuadraticModel

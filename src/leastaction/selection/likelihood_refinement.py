@@ -17,9 +17,9 @@ from leastaction.errors import StopSearch
 from leastaction.estimation.fit import Fit
 from leastaction.estimation.gauss_newton import Quadratic
 from leastaction.estimation.grid import Grid
+from leastaction.estimation.problem import Structure
 from leastaction.estimation.settings import ESTIMATION
 from leastaction.estimation.shapes import fit_shapes
-from leastaction.estimation.structure import Structure
 from leastaction.estimation.weights import Start
 from leastaction.mechanics.euler_lagrange import EulerLagrange
 from leastaction.selection.likelihood_search import Choice, QuadraticModel, search_subsets, term_penalty

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from leastaction.estimation.fit import Fit
+from leastaction.estimation.problem import Structure
 from leastaction.estimation.shape_ranges import shape_starts
-from leastaction.estimation.structure import Structure
 from leastaction.estimation.weights import Start
 from leastaction.library import tangent
 from leastaction.library.grammar import size_of

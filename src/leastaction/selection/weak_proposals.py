@@ -8,8 +8,8 @@ import numpy as np
 
 from leastaction.curve.smoothing import Smooth
 from leastaction.estimation.grid import Grid
+from leastaction.estimation.problem import Structure
 from leastaction.estimation.settings import ESTIMATION
-from leastaction.estimation.structure import Structure
 from leastaction.estimation.weights import Start
 from leastaction.selection.likelihood_search import term_penalty
 from leastaction.selection.progress import Progress, law_so_far

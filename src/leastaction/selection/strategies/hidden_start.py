@@ -19,8 +19,8 @@ from leastaction.estimation.fit import Fit
 from leastaction.estimation.gauss_newton import JointFit, fit_joint
 from leastaction.estimation.grid import Grid
 from leastaction.estimation.joint import Physics, Weights
+from leastaction.estimation.problem import Structure
 from leastaction.estimation.protocols import Measurements
-from leastaction.estimation.structure import Structure
 from leastaction.estimation.weights import Start, evidence, update_weights
 from leastaction.findings import find
 from leastaction.hidden.gauge import simpler_forms

@@ -15,8 +15,8 @@ from dataclasses import replace
 import numpy as np
 
 from leastaction.estimation.fit import Fit
+from leastaction.estimation.problem import Structure
 from leastaction.estimation.shapes import fit_shapes, with_tangents
-from leastaction.estimation.structure import Structure
 from leastaction.library import exchanges, shape_symbol
 from leastaction.selection.likelihood_refinement import beside, gain_of, penalty, refine, value
 from leastaction.selection.search_state import Search

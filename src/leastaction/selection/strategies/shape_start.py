@@ -20,9 +20,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from leastaction.estimation.fit import Fit
-from leastaction.estimation.problem import Problem
+from leastaction.estimation.problem import Problem, Structure
 from leastaction.estimation.shape_ranges import ShapeRange, shape_starts
-from leastaction.estimation.structure import Structure
 from leastaction.estimation.weights import Start
 from leastaction.library import alike
 from leastaction.selection.likelihood_refinement import value

@@ -24,7 +24,7 @@ import numpy as np
 
 from leastaction.data.validation import FloatArray
 from leastaction.estimation.fit import Fit
-from leastaction.estimation.structure import Structure
+from leastaction.estimation.problem import Structure
 from leastaction.estimation.weights import Start
 from leastaction.library import Dropped
 from leastaction.selection.likelihood_refinement import penalty, value
