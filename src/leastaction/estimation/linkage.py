@@ -14,8 +14,8 @@ constraint holds.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -25,6 +25,7 @@ from leastaction.curve.knots import lay_knots
 from leastaction.data.coerce import arranged
 from leastaction.data.trajectories import Trajectories, Trajectory
 from leastaction.errors import InputError
+from leastaction.estimation.constraints import Body, Circle, Constraint, Linkage, circle_of, one_side, side_of
 from leastaction.estimation.observations import RELATIVE_FLOOR
 from leastaction.identifiers import check_coordinate_names, quoted
 
@@ -33,96 +34,6 @@ __all__ = ["Constraint", "Linkage", "linkage"]
 _HOLDS = 9.0  # largest λ: tracks have systematic errors, too, here up to three times the noise
 _CLEARER = 1.5  # factor of λ by which a circle has to beat a line, and a centre beside an anchor the anchor
 _DEGREE = 5  # of the splines that tell the noise
-_ONE_SIDE = 0.99  # share of samples on one side, for the solution of a loop to be a single one
-
-
-@dataclass(frozen=True)
-class Constraint:
-    """A constraint that holds.
-
-    Attributes
-    ----------
-    kind : {"fixed", "slides", "turns", "turns with", "closes"}
-        At rest; on a line; on a circle about the anchor; like that, at a constant angle to another body; on
-        circles about two anchors.
-    body : (str, str)
-        Columns of the point.
-    anchors : tuple of (str, str)
-        Columns of the points to which it is tied; () for the ground.
-    radii : tuple of float
-        Distances from them.
-    deviation : float
-        Root mean square deviation over that which noise explains.
-    """
-
-    kind: str
-    body: tuple[str, str]
-    anchors: tuple[tuple[str, ...], ...] = ()
-    radii: tuple[float, ...] = ()
-    deviation: float = 1.0
-
-    def __str__(self) -> str:
-        body = "(" + ", ".join(self.body) + ")"
-        about = [f"({', '.join(a)})" if a else "a fixed point" for a in self.anchors]
-        tied = " and ".join(f"{r:.4g} from {a}" for r, a in zip(self.radii, about, strict=True))
-        said = {"fixed": "does not move", "slides": "moves along a straight line", "turns": f"stays {tied}"}
-        said |= {"turns with": f"stays {tied} and turns with another point", "closes": f"stays {tied}"}
-        return f"{body} {said[self.kind]} (deviation {self.deviation:.2g} times the noise)"
-
-
-@dataclass(frozen=True)
-class Linkage:
-    """Constraints between tracked points, and coordinates that fulfil them.
-
-    Attributes
-    ----------
-    constraints : tuple of Constraint
-        With ``kind``, ``body``, ``anchors``, ``radii``, and ``deviation`` (from the constraint, over noise).
-    coordinates, angles : tuple of str
-        Coordinates that remain, and those of them that are angles from the vertical.
-    measure : tuple of str
-        Measurement functions, with start values of the calibration numbers.
-    constant : tuple of str
-        Columns to leave out, because they do not move.
-    loops : int
-        Points with a constraint that these coordinates do not fulfil.
-    """
-
-    constraints: tuple[Constraint, ...] = ()
-    coordinates: tuple[str, ...] = ()
-    angles: tuple[str, ...] = ()
-    measure: tuple[str, ...] = ()
-    constant: tuple[str, ...] = ()
-    loops: int = 0
-
-    @property
-    def ties(self) -> list[str]:
-        """What ties the points, in words."""
-        lines = list(map(str, self.constraints))
-        if self.loops:
-            lines.append(f"{self.loops} more than the coordinates fulfil: the loop has no unique solution")
-        return lines
-
-    def __str__(self) -> str:
-        lines = [*self.ties, f"coordinates: {', '.join(self.coordinates) or 'none'}"]
-        lines += [f'--measure "{text}"' for text in self.measure]
-        return "\n".join(lines + ([f"leave out: {', '.join(self.constant)}"] if self.constant else []))
-
-
-class _Body(NamedTuple):
-    """A tracked point: (n_times, 2) samples, NaN where missing, and the variance of their noise."""
-
-    columns: tuple[str, str]
-    track: np.ndarray
-    variance: np.ndarray
-
-
-class _Circle(NamedTuple):
-    anchor: tuple[str, ...]
-    centre: np.ndarray
-    radius: float
-    excess: float
-    given: bool
 
 
 class _Placed(NamedTuple):
@@ -139,7 +50,8 @@ def linkage(trajectories: Trajectory | Iterable[Trajectory], bodies: Iterable[tu
     Tested are: points at rest, points on a straight line, constant distances from a fixed point, from another
     point, or from a place beside another point that only translates, and links that turn together. Deviations
     may be up to three times those that noise explains. Where two rods tie a point, it is placed where their
-    circles meet, as in a four-bar linkage.
+    circles meet, as in a four-bar linkage; where a rod ties a point on a line, as in a slider-crank, it is
+    placed where line and circle meet.
 
     Parameters
     ----------
@@ -193,7 +105,7 @@ def linkage(trajectories: Trajectory | Iterable[Trajectory], bodies: Iterable[tu
     floor = RELATIVE_FLOOR * np.nanstd(values, axis=0)
     variance = np.maximum(lay_knots(tracks, _DEGREE).smooth.noise_std, floor) ** 2
     n = len(pairs)
-    points = map(_Body, pairs, np.split(values, n, axis=1), np.split(variance, n))
+    points = map(Body, pairs, np.split(values, n, axis=1), np.split(variance, n))
     return _Assembly(list(points)).found
 
 
@@ -205,16 +117,18 @@ class _Assembly:
     found : Linkage
     """
 
-    def __init__(self, bodies: Sequence[_Body]) -> None:
+    def __init__(self, bodies: Sequence[Body]) -> None:
         self.found = Linkage()
         self._placed: dict[tuple[str, ...], _Placed] = {}
-        self._bodies: dict[tuple[str, ...], _Body] = {body.columns: body for body in bodies}
+        self._bodies: dict[tuple[str, ...], Body] = {body.columns: body for body in bodies}
         self._turns: list[tuple[str, np.ndarray, float]] = []
         self._sign = 0.0
         self._taken = {name for body in bodies for name in body.columns}
         waiting = list(bodies)
         while waiting:
-            at = next((k for k, body in enumerate(waiting) if self._tie(body)), None)
+            # sliders last: a crank moves one, but with two solutions for each place of the slider
+            order = [(k, late) for late in (False, True) for k in range(len(waiting))]
+            at = next((k for k, late in order if self._tie(waiting[k], sliders=late)), None)
             if at is None:
                 self._free(waiting[0])
             waiting.pop(at or 0)
@@ -225,11 +139,11 @@ class _Assembly:
         longer = {name: getattr(self.found, name) + value for name, value in more.items()}
         self.found = replace(self.found, **longer)
 
-    def _free(self, body: _Body) -> None:
+    def _free(self, body: Body) -> None:
         self._add(coordinates=body.columns)
         self._placed[body.columns] = _Placed(body.columns, np.zeros(2), True)
 
-    def _tie(self, body: _Body) -> bool:
+    def _tie(self, body: Body, *, sliders: bool) -> bool:
         """Whether a constraint ties the point to the ground, or to a point with a place."""
         seen = body.track[np.isfinite(body.track).all(axis=1)]
         excess, normals = eigh(np.cov(seen.T), np.diag(body.variance))
@@ -237,48 +151,111 @@ class _Assembly:
         if excess[1] < _HOLDS:
             self._rest(body, seen, float(excess[1]))
         elif excess[0] < min([_HOLDS, *(_CLEARER * c.excess for c in circles if not c.anchor)]):
-            self._slide(body, seen, normals[:, 0], float(excess[0]))
+            ties = [(circle, self._spread(body, circle)) for circle in circles if circle.anchor]
+            riding = next((circle for circle, (_, most) in ties if most < _HOLDS), None)
+            rod = next((circle for circle, (least, _) in ties if least > _HOLDS), None)
+            if riding is not None:
+                self._ride(body, riding)
+            elif sliders:
+                self._slide(body, seen, normals[:, 0], float(excess[0]), rod)
         elif circles:
             self._turn(body, circles)
         return body.columns in self._placed
 
-    def _circles(self, body: _Body) -> list[_Circle]:
+    def _circles(self, body: Body) -> list[Circle]:
         """Circles on which the point moves: about the ground, and about points with a place."""
-        out = [_circle((), body.track, body.variance, given=False)]
+        out = [circle_of((), body.track, body.variance, given=False)]
         for anchor, place in self._placed.items():
             if place.texts == ("", ""):
                 continue
             other = self._bodies[anchor]
             away, variance = body.track - other.track, body.variance + other.variance
-            found = _circle(anchor, away, variance, given=True)
+            found = circle_of(anchor, away, variance, given=True)
             if place.translates:  # its own mark need not be where the rod is fixed
-                beside = _circle(anchor, away, variance, given=False)
+                beside = circle_of(anchor, away, variance, given=False)
                 found = beside if _CLEARER * beside.excess < found.excess else found
             out.append(found)
         return [circle for circle in out if circle.excess < _HOLDS]
 
-    def _rest(self, body: _Body, seen: np.ndarray, excess: float) -> None:
+    def _rest(self, body: Body, seen: np.ndarray, excess: float) -> None:
         still = Constraint("fixed", body.columns, deviation=excess**0.5)
         self._add(constraints=(still,), constant=body.columns)
         self._placed[body.columns] = _Placed(("", ""), seen.mean(axis=0), True)
 
-    def _slide(self, body: _Body, seen: np.ndarray, normal: np.ndarray, excess: float) -> None:
-        """Along a line, the column that moves more is the coordinate."""
+    def _slide(
+        self, body: Body, seen: np.ndarray, normal: np.ndarray, excess: float, rod: Circle | None
+    ) -> None:
+        """On a line: where a rod reaches it; else the column that moves more is the coordinate."""
         spread, means = seen.std(axis=0), seen.mean(axis=0)
         k = int(np.argmax(spread))
-        texts, slope = ["", ""], -normal[k] / normal[1 - k]
-        texts[k] = body.columns[k]
-        line = Constraint("slides", body.columns, deviation=excess**0.5)
-        self._add(constraints=(line,), coordinates=(texts[k],))
-        if abs(slope) * spread[k] < body.variance[1 - k] ** 0.5:
-            self._add(constant=(body.columns[1 - k],))
+        column, other = body.columns[k], body.columns[1 - k]
+        slope = -normal[k] / normal[1 - k]
+        level = abs(slope) * spread[k] < body.variance[1 - k] ** 0.5  # the other column does not vary
+        slope = 0.0 if level else slope
+        side = 0.0 if rod is None else self._crank_side(body, rod, k, slope, means)
+        self._add(loops=int(rod is not None and not side))
+        rod = rod if side else None
+        offset = self._number("offset", means[1 - k] - slope * means[k]) if rod or not level else ""
+        tilt = "" if level else self._number("slope", slope)
+        texts = ["", ""]
+        if rod is None:
+            texts[k] = column
+            self._add(coordinates=(column,))
         else:
-            start = means[1 - k] - slope * means[k]
-            texts[1 - k] = f"{self._number('offset', start)} + {self._number('slope', slope)}*{texts[k]}"
-            self._add(measure=(f"{body.columns[1 - k]} = {texts[1 - k]}",))
+            texts[k] = self._on_rod(rod, k, side, offset, tilt)
+            self._add(measure=(f"{column} = {texts[k]}",))
+        anchors, radii = ((), ()) if rod is None else ((rod.anchor,), (rod.radius,))
+        self._add(constraints=(Constraint("slides", body.columns, anchors, radii, excess**0.5),))
+        if level:
+            self._add(constant=(other,))
+        else:
+            texts[1 - k] = f"{offset} + {tilt}*" + (texts[k] if rod is None else f"({texts[k]})")
+            self._add(measure=(f"{other} = {texts[1 - k]}",))
         self._placed[body.columns] = _Placed((texts[0], texts[1]), means, True)
 
-    def _turn(self, body: _Body, circles: list[_Circle]) -> None:
+    def _ride(self, body: Body, rod: Circle) -> None:
+        """On the same slider as another point."""
+        place, away = self._placed[rod.anchor], body.track - self._bodies[rod.anchor].track
+        step, texts = np.nanmean(away, axis=0), ["", ""]
+        for k, (column, text) in enumerate(zip(body.columns, place.texts, strict=True)):
+            if text:
+                texts[k] = f"{text} + {self._number('offset_' + 'xy'[k], float(step[k]))}"
+                self._add(measure=(f"{column} = {texts[k]}",))
+            else:
+                self._add(constant=(column,))
+        tie = Constraint("slides", body.columns, (rod.anchor,), (rod.radius,), rod.excess**0.5)
+        self._add(constraints=(tie,))
+        self._placed[body.columns] = _Placed((texts[0], texts[1]), place.means + step, True)
+
+    def _spread(self, body: Body, circle: Circle) -> tuple[float, float]:
+        """Least and largest variance of the place beside the anchor, over that of noise."""
+        other = self._bodies[circle.anchor]
+        away = body.track - other.track
+        away = away[np.isfinite(away).all(axis=1)]
+        least, most = eigh(np.cov(away.T), np.diag(body.variance + other.variance), eigvals_only=True)
+        return float(least), float(most)
+
+    def _crank_side(self, body: Body, rod: Circle, k: int, slope: float, means: np.ndarray) -> float:
+        """On which side of the foot of its anchor the slider stays; 0 if it passes by."""
+        to_anchor = self._bodies[rod.anchor].track + rod.centre - means
+        across = to_anchor[:, 1 - k] - slope * to_anchor[:, k]
+        along = body.track[:, k] - means[k] - to_anchor[:, k]
+        return one_side(along - slope * across / (1.0 + slope**2))
+
+    def _on_rod(self, rod: Circle, k: int, side: float, offset: str, tilt: str) -> str:
+        """Where a line y = b + a x meets a circle of radius r about P, with D = P_y − b − a P_x:
+
+        x = P_x + (a D ± √((1 + a²) r² − D²))/(1 + a²).
+        """
+        centre, r = self._centre(rod), self._number("length", rod.radius)
+        sign = "+" if side > 0.0 else "-"
+        across = f"({centre[1 - k]} - {offset}" + (f" - {tilt}*({centre[k]}))" if tilt else ")")
+        if not tilt:
+            return f"{centre[k]} {sign} sqrt({r}**2 - {across}**2)"
+        square = f"(1 + {tilt}**2)"
+        return f"{centre[k]} + ({tilt}*{across} {sign} sqrt({square}*{r}**2 - {across}**2))/{square}"
+
+    def _turn(self, body: Body, circles: list[Circle]) -> None:
         """On one circle: with an angle of its own, or of another body; on two circles: where they meet."""
         first = circles[0]
         away = body.track - first.centre - (self._bodies[first.anchor].track if first.anchor else 0.0)
@@ -286,7 +263,7 @@ class _Assembly:
         turned = np.arctan2(away[:, 0], self._sign * away[:, 1])
         size = float(body.variance.mean()) / first.radius**2
         with_it = self._with_another(turned, size)
-        side = _side(body, circles, self._bodies)
+        side = side_of(body, circles, self._bodies)
         if with_it is not None:
             kind, angle, circles = "turns with", with_it, circles[:1]
         elif side and len(circles) > 1:
@@ -314,7 +291,7 @@ class _Assembly:
                 return name if offset**2 < noise else f"{name} + {self._number('turn', offset)}"
         return None
 
-    def _centre(self, circle: _Circle) -> tuple[str, str]:
+    def _centre(self, circle: Circle) -> tuple[str, str]:
         """The centre of a circle as texts."""
         if not circle.anchor:
             return self._number("pivot_x", circle.centre[0]), self._number("pivot_y", circle.centre[1])
@@ -328,12 +305,12 @@ class _Assembly:
                 out[k] = f"{text} + {self._number('offset_' + 'xy'[k], float(circle.centre[k]))}"
         return out[0], out[1]
 
-    def _around(self, circle: _Circle, angle: str) -> tuple[str, str]:
+    def _around(self, circle: Circle, angle: str) -> tuple[str, str]:
         (x, y), length = self._centre(circle), self._number("length", circle.radius)
         sign = "+" if self._sign > 0.0 else "-"
         return f"{x} + {length}*sin({angle})", f"{y} {sign} {length}*cos({angle})"
 
-    def _meeting(self, circles: list[_Circle], side: float) -> tuple[str, str]:
+    def _meeting(self, circles: list[Circle], side: float) -> tuple[str, str]:
         """Where two circles meet: P + a D + b D⊥, D = Q − P, a = ½ + (r² − s²)/2D², a² + b² = r²/D²."""
         (px, py), (qx, qy) = (self._centre(circle) for circle in circles)
         r, s = (self._number("length", circle.radius) for circle in circles)
@@ -354,38 +331,6 @@ class _Assembly:
 
     def _number(self, base: str, start: float) -> str:
         return f"{{{self._name(base)}={start:.6g}}}"
-
-
-def _circle(anchor: tuple[str, ...], track: np.ndarray, variance: np.ndarray, *, given: bool) -> _Circle:
-    """The circle that fits best, about a given centre at the origin or any other."""
-    p = track[np.isfinite(track).all(axis=1)]
-    shift = np.zeros(2) if given else p.mean(axis=0)
-    unit = float(np.sqrt(np.mean((p - shift) ** 2)))
-    p, noise = (p - shift) / unit, variance / unit**2
-    mean, square = p.mean(axis=0), (p**2).mean(axis=0) - noise
-    features = np.column_stack([(p**2).sum(axis=1), p])
-    matrix = np.zeros((3, 3))
-    matrix[0, 0] = 4.0 * square @ noise + 2.0 * noise @ noise
-    matrix[0, 1:] = matrix[1:, 0] = 2.0 * mean * noise
-    matrix[1:, 1:] = np.diag(noise)
-    n = 1 if given else 3
-    excess, vectors = eigh(np.cov(features.T)[:n, :n], matrix[:n, :n], subset_by_index=[0, 0])
-    slopes: np.ndarray = np.zeros(2)
-    slopes[: n - 1] = vectors[1:, 0] / vectors[0, 0]
-    centre = -0.5 * slopes
-    radius = np.sqrt(max(square.sum() + slopes @ mean + centre @ centre, 0.0))
-    return _Circle(anchor, centre * unit + shift, float(radius) * unit, float(excess[0]), given)
-
-
-def _side(body: _Body, circles: Sequence[_Circle], bodies: Mapping[tuple[str, ...], _Body]) -> float:
-    """On which side of the line between two anchors the point stays; 0 if it does not."""
-    if len(circles) < 2:
-        return 0.0
-    first, second = (c.centre + (bodies[c.anchor].track if c.anchor else np.zeros(2)) for c in circles[:2])
-    away, line = body.track - first, second - first + np.zeros_like(body.track)
-    side: np.ndarray = line[:, 0] * away[:, 1] - line[:, 1] * away[:, 0]
-    left = float(np.mean(side[np.isfinite(side)] > 0.0))
-    return 1.0 if left > _ONE_SIDE else -1.0 if left < 1.0 - _ONE_SIDE else 0.0
 
 
 def _once(functions: Iterable[str]) -> tuple[str, ...]:
