@@ -23,6 +23,8 @@ from leastaction.diagnosis.rates import doubts_about_rates
 from leastaction.diagnosis.unmeasured_part import unmeasured_part
 from leastaction.estimation.build import Request, build_problem
 from leastaction.estimation.fit import Fit
+from leastaction.estimation.grid import Grid
+from leastaction.estimation.problem import Structure
 from leastaction.findings import Finding, find
 from leastaction.metrics import cramer_rao_bound
 from leastaction.selection.search import run_search
@@ -638,6 +640,18 @@ def test_for_the_true_law_the_gain_is_no_more_than_chance():
     ratio = sum(gains) / sum(freedom)
     assert 0.1 < ratio < 1.6  # above: five standard deviations of a mean over 78 degrees of freedom
     assert all(gain < 35.0 for gain in gains)
+
+
+def test_a_law_without_unknown_terms_is_compared_with_smooth_changes():
+    """What the changes explain counts from zero, and the true force is a change that explains much."""
+    runs = free_motions(lambda x: -2.0 * x, noise=0.03, starts=(1.0,))
+    setup = build_problem(runs, Request(la.Library(["x_dot**2", "x**2"], ["x"]), {"x_dot**2": 0.5}))
+    grid, curve = Grid.lay(setup.problem, setup.scales.per_second), setup.scales.smooth
+    start = grid.start(Structure([]), curve.control_points, np.zeros(2), curve.noise_std)
+    fit = replace(grid.fit(Structure([]), start), status="converged")
+    changes = smooth_changes.smooth_changes(fit)
+    assert [change.kind for change in changes] == ["potential", "kinetic", "potential and kinetic"]
+    assert changes[0].gain > 5.0 * changes[0].freedom
 
 
 def test_a_shape_parameter_takes_up_a_change_of_its_own_kind():

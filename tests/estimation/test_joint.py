@@ -15,6 +15,7 @@ from helpers import euler_lagrange, finite_difference, interpolate, record, unif
 from leastaction import systems
 from leastaction.curve.bspline import SplineGrid
 from leastaction.data.trajectories import Rate
+from leastaction.diagnosis.hidden import about_sensors
 from leastaction.errors import DataError, InputError
 from leastaction.estimation import joint as problem_module
 from leastaction.estimation import protocols
@@ -636,6 +637,20 @@ def test_traces_are_the_sensitivity_of_log_det_h(joint) -> None:
     for channel in (1, 2):
         slope = (logdet(channel, 1e-3) - logdet(channel, -1e-3)) / 2e-3
         assert used[channel] == pytest.approx(slope, rel=1e-4)
+
+
+def test_held_coefficients_have_a_covariance_with_calibration_numbers(joint) -> None:
+    """With coefficients and errors of the fit itself, its covariance returns; with wider ones, wider."""
+    grid, _, start = joint
+    fit = grid.fit(Structure(grid.problem.free), start)
+    same = grid.held(fit, fit.coefficients, fit.covariance)
+    size = np.sqrt(np.diag(fit.joint))
+    assert np.allclose(same.joint / np.outer(size, size), fit.joint / np.outer(size, size), atol=0.02)
+    wide = grid.held(same, fit.coefficients, 9.0 * fit.covariance)
+    assert np.array_equal(wide.joint[:1, :1], wide.covariance)
+    assert np.allclose(wide.joint[0, 1:], 9.0 * same.joint[0, 1:], rtol=0.02)
+    assert np.all(np.diag(wide.joint) >= np.diag(same.joint))
+    assert not about_sensors(wide, np.ones(3))
 
 
 # ---------------------------------------------------------------- results

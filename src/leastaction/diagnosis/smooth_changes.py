@@ -145,6 +145,6 @@ def _changes(fit: Fit, kinds: Mapping[str, list[Term]]) -> Iterator[SmoothChange
 def _explained(matrix: FloatArray, gradient: FloatArray) -> tuple[float, FloatArray]:
     """gᵀ A⁻¹ g and a root R of A⁻¹ = R Rᵀ, over the directions that differ."""
     values, vectors = np.linalg.eigh(matrix)
-    kept = values > _DEPENDENT * values[-1]
+    kept = values > _DEPENDENT * values.max(initial=0.0)  # there may be no free term
     root = vectors[:, kept] / np.sqrt(values[kept])
     return float(np.sum((root.T @ gradient) ** 2)), root

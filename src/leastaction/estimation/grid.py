@@ -18,7 +18,7 @@ from leastaction.estimation.blocks import observe
 from leastaction.estimation.crew import Alone, Task
 from leastaction.estimation.fit import Fit
 from leastaction.estimation.forces import Between, GridForces, curve_between, forces_on
-from leastaction.estimation.gauss_newton import fit_joint
+from leastaction.estimation.gauss_newton import fit_joint, symmetric_inverse
 from leastaction.estimation.intervals import first_points
 from leastaction.estimation.joint import Physics
 from leastaction.estimation.problem import Problem, Structure
@@ -164,8 +164,8 @@ class Grid:
         solution = fit_joint(
             self.observations, rigid, fit.weights, fit.control_points, values[index], tolerance=1.0
         )
-        value = evidence(self.observations, solution)
-        return replace(Fit.of(self, fit.structure, values, solution, value), covariance=covariance)
+        found = Fit.of(self, fit.structure, values, solution, evidence(self.observations, solution))
+        return replace(found, covariance=covariance, joint=_joined(fit, covariance, solution.joint))
 
     def carried(self, fit: Fit, growth: np.ndarray) -> Start:
         """A fit of another grid as a start on this one, equation weights raised by ``growth``, (n_dof,)."""
@@ -187,6 +187,22 @@ class Grid:
         points = first_points(self.spline, control_points, slice(None, None, stride))
         mass = self.problem.candidates.mass_matrix(points, coefficients)
         return float(np.mean(positive_definite(mass)))
+
+
+def _joined(fit: Fit, covariance: np.ndarray, given: np.ndarray | None) -> np.ndarray | None:
+    """Covariance of coefficients and calibration numbers, if the coefficients have another ``covariance``.
+
+    ``given`` is the covariance of the numbers at fixed coefficients. How the numbers follow the coefficients
+    is the regression of the numbers on them in ``fit``.
+    """
+    if fit.joint is None or given is None:
+        return None
+    n = len(covariance)
+    if not (np.isfinite(fit.joint).all() and np.isfinite(covariance).all()):
+        return np.full(fit.joint.shape, np.nan)
+    slopes = fit.joint[n:, :n] @ symmetric_inverse(fit.joint[:n, :n])
+    mixed = slopes @ covariance
+    return np.block([[covariance, mixed.T], [mixed, given + mixed @ slopes.T]])
 
 
 def _runs(times: Sequence[np.ndarray]) -> list[slice]:
