@@ -653,6 +653,18 @@ def test_held_coefficients_have_a_covariance_with_calibration_numbers(joint) -> 
     assert not about_sensors(wide, np.ones(3))
 
 
+@pytest.mark.parametrize("start", ["", "=0.001", "=320"])
+def test_a_start_near_zero_does_not_make_a_number_open(start) -> None:
+    """Where zero of the picture lies says nothing about how well the place of the pivot is known."""
+    measure = [f"u = {{u0{start}}} + {{a=200}}*sin(theta)", "v = {v0=100} + {a}*cos(theta)"]
+    setup = build_problem(filmed(1.0, seconds=2.0), Request(LIBRARY, GIVEN, measure=measure))
+    grid, structure = Grid.lay(setup.problem, 12.0), Structure(setup.problem.free)
+    fit = grid.fit(structure, grid.start(structure, grid.smooth().control_points, np.ones(2), np.ones(1)))
+    variances = np.diag([0.1, 2.0**2, 2.0**2, 2.0**2])
+    assert not about_sensors(replace(fit, joint=variances), np.ones(3))
+    assert len(about_sensors(replace(fit, joint=1e4 * variances), np.ones(3))) == 3
+
+
 # ---------------------------------------------------------------- results
 def test_a_filmed_pendulum_gives_its_law_and_the_camera(tmp_path) -> None:
     model = la.discover(filmed(1.0), LIBRARY, GIVEN, measure=CAMERA)

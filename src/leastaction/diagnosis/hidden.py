@@ -7,12 +7,16 @@ import numpy as np
 from leastaction.diagnosis.settings import DIAGNOSIS
 from leastaction.estimation.calibration import plausible_sizes
 from leastaction.estimation.fit import Fit
+from leastaction.estimation.sensors import SensorObservations, Sensors
 from leastaction.findings import Finding, find
 from leastaction.hidden.band import curve_errors, errors_with_sensor
 from leastaction.hidden.gauge import open_changes, open_scales, reflections
 from leastaction.selection.search_state import Search
 
 __all__ = ["about_hidden", "about_sensors"]
+
+# of the spread of a column: an error of a calibration number that changes the column by less is acceptable
+_SHARE = 0.5
 
 
 def about_sensors(fit: Fit, residual_ratio: np.ndarray) -> list[Finding]:
@@ -32,11 +36,27 @@ def about_sensors(fit: Fit, residual_ratio: np.ndarray) -> list[Finding]:
     out = [find("column-unexplained", c, residual_ratio=x) for c, x in ratios if x > DIAGNOSIS.noise_ratio]
     if fit.joint is not None and np.isfinite(fit.joint).all():
         errors = np.sqrt(np.clip(np.diag(fit.joint)[len(fit.structure) :], 0.0, None))
-        wide = plausible_sizes(sensors.at(numbers))
+        wide = _acceptable(fit, sensors, numbers)
         out += [
             find("calibration-open", n, error=e) for n, e, w in zip(names, errors, wide, strict=True) if e > w
         ]
     return out
+
+
+def _acceptable(fit: Fit, sensors: Sensors, numbers: np.ndarray) -> np.ndarray:
+    """(n_numbers,) standard errors above which the data do not determine a calibration number.
+
+    A start value says little about this: it may lie near zero because of where zero was chosen. An error is
+    acceptable at least if it changes no column by more than a share of the motion that the column shows.
+    """
+    sizes, seen = plausible_sizes(sensors.at(numbers)), fit.grid.observations
+    if not isinstance(seen, SensorObservations):
+        return sizes
+    spread = np.nanstd(np.concatenate(sensors.samples), axis=0)
+    slopes = seen.at(fit.control_points, numbers).slopes / np.maximum(spread, 1e-300)[:, None]
+    ranged = np.isin(sensors.functions.names, list(sensors.ranges))  # an error must be smaller than the range
+    least = _SHARE / np.maximum(slopes.max(axis=0), 1e-300)
+    return np.where(ranged, sizes, np.maximum(sizes, least))
 
 
 def about_hidden(search: Search) -> list[Finding]:

@@ -315,6 +315,11 @@ class SensorObservations(Observations):
         here._sights = tuple(sights)
         return here
 
+    @property
+    def slopes(self) -> np.ndarray:
+        """(n_columns, n_directions) root mean squares of ∂h/∂κ at the point of linearisation."""
+        return np.stack([np.sqrt(np.mean(sight.border[:, 1:] ** 2, axis=0)) for sight in self._sights])
+
     def residuals(self, control_points: np.ndarray) -> list[np.ndarray]:
         """y − h of each channel at the point of linearisation, valid samples only."""
         return [*super().residuals(control_points), *(-sight.border[:, 0] for sight in self._sights)]
