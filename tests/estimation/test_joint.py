@@ -20,6 +20,7 @@ from leastaction.errors import DataError, InputError
 from leastaction.estimation import joint as problem_module
 from leastaction.estimation import protocols
 from leastaction.estimation.build import Request, build_problem
+from leastaction.estimation.calibration import from_columns
 from leastaction.estimation.constraints import circle_of
 from leastaction.estimation.error_spectrum import error_spectrum
 from leastaction.estimation.gauss_newton import fit_joint
@@ -663,6 +664,22 @@ def test_a_start_near_zero_does_not_make_a_number_open(start) -> None:
     variances = np.diag([0.1, 2.0**2, 2.0**2, 2.0**2])
     assert not about_sensors(replace(fit, joint=variances), np.ones(3))
     assert len(about_sensors(replace(fit, joint=1e4 * variances), np.ones(3))) == 3
+
+
+def test_coordinates_from_columns_do_not_depend_on_the_unit() -> None:
+    """A coordinate with samples of its own counts with their noise, in metres and in millimetres."""
+    t, noise = np.arange(0.0, 6.0, 0.02), 1e-3 * np.random.default_rng(3).standard_normal((300, 3))
+    cart, angle = 0.3 * np.cos(2.2 * t), 0.7 * np.sin(3.1 * t)
+    exact = np.column_stack([cart, cart + 0.4 * np.sin(angle), 0.4 * np.cos(angle)])
+    found = []
+    for unit in (1.0, 1000.0):
+        data = la.Trajectory(t, unit * (exact + noise), coordinates=["x", "u", "v"])
+        measure = [f"u = x + {{l={0.4 * unit}}}*sin(theta)", "v = {l}*cos(theta)"]
+        library = la.Library(["x_dot**2", "theta_dot**2"], ["x", "theta"], angles=["theta"])
+        found.append(from_columns(la.Trajectories([data]), measure, library, (), None, 5, {}, True))
+        assert found[-1].sensors.direct_std == pytest.approx([unit * 1e-3, 1.0], rel=0.1)
+    metres, millimetres = (calibrated.trajectories[0].q for calibrated in found)
+    assert np.all(np.abs(millimetres - metres * [1000.0, 1.0]) < [0.02, 5e-5])  # a fiftieth of the noise
 
 
 # ---------------------------------------------------------------- results

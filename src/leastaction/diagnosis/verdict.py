@@ -70,10 +70,10 @@ def verify(
     fit, smooth, period = search.found, search.curve, search.scales.period
     names = fit.problem.coordinates
     floor = fit.grid.observations.noise_floor
-    noise = np.maximum(smooth.noise_std, floor)
     sensors = fit.problem.sensors
-    columns = () if sensors is None else sensors.noise_std
-    every = np.maximum([*smooth.noise_std, *smooth.rate_std, *columns], fit.grid.observations.floors)
+    own, columns = (smooth.noise_std, ()) if sensors is None else (sensors.direct_std, sensors.noise_std)
+    noise = np.maximum(own, floor)
+    every = np.maximum([*own, *smooth.rate_std, *columns], fit.grid.observations.floors)
     counts = fit.grid.observations.counts
     chi2 = fit.linearisation.squares / np.maximum(counts, 1) / every**2
     share, rms = fit.equation_error()

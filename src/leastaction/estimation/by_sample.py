@@ -105,7 +105,8 @@ def directions(sensors: Sensors, trajectories: Trajectories) -> tuple[np.ndarray
     for k, t in enumerate(trajectories):
         _, jacobian, border = static.weighted(k, _at_rest(t.q), t.t, sensors.numbers)
         matrix: np.ndarray = np.swapaxes(jacobian, 1, 2) @ jacobian
-        direct = np.isfinite(sensors.direct[k]) * (_EXACT * np.einsum("sii->si", matrix) + 1.0)
+        least = sensors.direct_std**-2.0
+        direct = np.isfinite(sensors.direct[k]) * (_EXACT * np.einsum("sii->si", matrix) + least)
         matrix += direct[:, :, None] * np.eye(t.q.shape[1])
         cross = np.swapaxes(jacobian, 1, 2) @ border
         whole += np.einsum("sck,scl->kl", border, border)
@@ -122,7 +123,8 @@ def misfit(sensors: Sensors, trial: int, q: np.ndarray, times: np.ndarray, numbe
     """(n_times,) squared deviations of all columns, over their noise."""
     h = sensors.functions.values(_at_rest(q), times, numbers)
     error = np.nan_to_num((h.T - sensors.samples[trial]) / sensors.noise_std)
-    return (error**2).sum(axis=1) + np.square(np.nan_to_num(q - sensors.direct[trial])).sum(axis=1)
+    own = np.nan_to_num((q - sensors.direct[trial]) / sensors.direct_std)
+    return (error**2).sum(axis=1) + (own**2).sum(axis=1)
 
 
 def _at_rest(q: np.ndarray) -> np.ndarray:
@@ -140,9 +142,10 @@ def newton_step(
 ) -> np.ndarray:
     """(n_times, n_dof) steps of the coordinates that lower the misfit of each sample."""
     error, jacobian, _ = sensors.weighted(trial, states, times, numbers)
-    direct = np.isfinite(sensors.direct[trial])
+    direct = np.isfinite(sensors.direct[trial]) / sensors.direct_std**2
     matrix = np.swapaxes(jacobian, 1, 2) @ jacobian + direct[:, :, None] * np.eye(states.shape[2])
-    gradient = np.einsum("sci,sc->si", jacobian, error) + np.nan_to_num(states[0] - sensors.direct[trial])
+    gradient = np.einsum("sci,sc->si", jacobian, error)
+    gradient += direct * np.nan_to_num(states[0] - sensors.direct[trial])
     diagonal = np.einsum("sii->si", matrix)
     least = 1e-9 * diagonal.max(axis=1, keepdims=True) + 1e-300
     ridge: np.ndarray = np.asarray(damping).reshape(-1, 1) * diagonal + least

@@ -139,12 +139,9 @@ def calibrate(
         columns, findings = leave_out_outliers(columns, degree)
     knots = lay_knots(columns, degree)
     own = arranged(table, functions.coordinates)
-    noise = np.maximum(
-        knots.smooth.noise_std, 1e-6 * np.nanstd(np.concatenate([t.q for t in columns]), axis=0)
-    )
-    sensors = Sensors(
-        functions, [t.q for t in columns], [t.q for t in own], noise, np.zeros(len(functions.names)), ranges
-    )
+    noise = _at_least(knots.smooth.noise_std, columns)
+    samples, direct, numbers = [t.q for t in columns], [t.q for t in own], np.zeros(len(functions.names))
+    sensors = Sensors(functions, samples, direct, noise, _noise_of(own, degree), numbers, ranges)
     _check_observed(functions, own)
     hunt = _Hunt(
         own, _centred(sensors), np.isin(functions.coordinates, list(angles)), knots.per_second, degree
@@ -156,6 +153,23 @@ def calibrate(
         draws = [np.asarray(max(fits, key=lambda fit: fit[1])[0].weights.calibration)]
     fit, _ = hunt.fitted(draws[0])
     return Calibrated(hunt.sighted(fit), sensors.at(np.asarray(fit.weights.calibration)), tuple(findings))
+
+
+def _at_least(noise: np.ndarray, samples: Trajectories) -> np.ndarray:
+    """Noise that does not vanish for samples without any."""
+    return np.maximum(noise, 1e-6 * np.nanstd(np.concatenate([t.q for t in samples]), axis=0))
+
+
+def _noise_of(own: Trajectories, degree: int) -> np.ndarray:
+    """(n_dof,) noise of the samples of coordinates, in their units; one where there are none."""
+    out = np.ones(len(own.coordinates))
+    counts = np.isfinite(np.concatenate([t.q for t in own])).sum(axis=0)
+    seen = np.flatnonzero(counts >= FEWEST_SAMPLES)
+    if seen.size:
+        some = arranged(own.without_rates(), [own.coordinates[i] for i in seen])
+        noise = _at_least(lay_knots(some, degree).smooth.noise_std, some)
+        out[seen] = np.where(noise > 0.0, noise, 1.0)
+    return out
 
 
 def _columns(table: Trajectories, functions: SensorFunctions) -> Trajectories:

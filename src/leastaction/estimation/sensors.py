@@ -183,8 +183,8 @@ class Sensors:
         Samples of each trajectory; NaN where missing.
     direct : list of (n_times, n_dof) arrays
         Samples of the coordinates themselves, NaN where there are none.
-    noise_std : (n_columns,) array
-        Noise of the columns, by a smooth curve through each.
+    noise_std, direct_std : (n_columns,) and (n_dof,) arrays
+        Noise of the columns and of these samples, by a smooth curve through each; one where there are none.
     numbers : (n_numbers,) array
         κ.
     ranges : mapping of str to (float, float)
@@ -195,6 +195,7 @@ class Sensors:
     samples: list[np.ndarray]
     direct: list[np.ndarray]
     noise_std: np.ndarray
+    direct_std: np.ndarray
     numbers: np.ndarray
     ranges: Mapping[str, tuple[float, float]]
 
