@@ -16,6 +16,7 @@ from leastaction import systems
 from leastaction.curve.bspline import SplineGrid
 from leastaction.data.trajectories import Rate
 from leastaction.diagnosis.hidden import about_sensors
+from leastaction.diagnosis.wider_search import perhaps_degrees
 from leastaction.errors import DataError, InputError
 from leastaction.estimation import joint as problem_module
 from leastaction.estimation import protocols
@@ -29,6 +30,8 @@ from leastaction.estimation.joint import Physics, Weights, linearise
 from leastaction.estimation.observations import Observations
 from leastaction.estimation.problem import Problem, Structure
 from leastaction.estimation.sensors import SensorFunctions
+from leastaction.findings import find
+from leastaction.findings.sentences import sentence
 from leastaction.mechanics.euler_lagrange import EulerLagrange, Points
 
 COORDINATES = ["x", "theta"]
@@ -565,11 +568,62 @@ def test_slopes_are_those_of_differences() -> None:
         (["w = {s}*theta", "u = theta", "v = theta"], "not a column of the data"),
         (["u = {s}*theta"], "neither a coordinate"),
         (["u = {s}*__import__('os')", "v = theta"], "cannot read"),
+        (["u = {s}*thetta", "v = theta"], "function of 'u': cannot read .* did you mean 'theta'"),
+        (["u = {s}*theta", "v = sqrt(theta-10)"], "function of 'v' has no finite value at any sample"),
     ],
 )
 def test_misuse_is_refused(measure, message) -> None:
     with pytest.raises(InputError, match=message):
         la.discover(filmed(1.0, seconds=1.0), LIBRARY, GIVEN, measure=measure)
+
+
+@pytest.mark.parametrize(
+    ("shapes", "message"),
+    [
+        ({"zz": (0.0, 1.0)}, r"'zz', which is neither .* nor one of the calibration numbers \(u0, a, v0\)"),
+        ({"a": (100.0, 150.0)}, r"start value of \{a\} is 200; expected a value in its range, 100 to 150"),
+        ({"u0": (2.0, 1.0)}, "range of the calibration number 'u0'"),
+    ],
+)
+def test_ranges_of_calibration_numbers_are_checked(shapes, message) -> None:
+    measure = ["u = {u0} + {a=200}*sin(theta)", "v = {v0} + {a}*cos(theta)"]
+    with pytest.raises(InputError, match=message):
+        build_problem(filmed(1.0, seconds=1.0), Request(LIBRARY, GIVEN, measure=measure, shapes=shapes))
+
+
+def test_a_constant_column_is_refused_by_name() -> None:
+    data = recorded(lambda q, *_: (q, 0.0 * q + 1.5), ["enc", "gyro"], [0.01, 0.0], seconds=1.0)
+    with pytest.raises(DataError, match=r"column 'gyro' is 1\.5 in all samples"):
+        la.discover(data, LIBRARY, GIVEN, measure=["enc = theta + {z}", "gyro = theta_dot + {b}"])
+
+
+def test_a_computed_angle_has_no_notes_on_units_and_jumps() -> None:
+    """It has no column whose unit could be wrong; its turns come from the search along the samples."""
+    data = recorded(pixels, ["u", "v"], 1.0, seconds=2.0, amplitudes=(0.5,))
+    turning = la.Trajectories([run.changed(q=np.column_stack(pixels(9.0 * run.t))) for run in data])
+    setup = build_problem(turning, Request(LIBRARY, GIVEN, measure=CAMERA))
+    assert not {f.code for f in setup.findings} & {"angle-unwrapped", "undeclared-angle"}
+    grid, structure = Grid.lay(setup.problem, 12.0), Structure(setup.problem.free)
+    fit = grid.fit(structure, grid.start(structure, grid.smooth().control_points, np.ones(2), np.ones(1)))
+    assert np.ptp(fit.control_points) > 4.0 * np.pi
+    assert not perhaps_degrees(fit, 1.0, np.ones(1), [])
+
+
+def test_a_solver_that_stops_asks_for_start_values(joint) -> None:
+    grid, _, start = joint
+    fit = grid.fit(Structure(grid.problem.free), start)
+    far = replace(fit, status="step limit", joint=1e20 * np.eye(5))
+    texts = [sentence(finding, "command line") for finding in about_sensors(far, np.ones(3))]
+    assert len(texts) == 4
+    assert (
+        "u0 was 320 when the solver stopped: give a start value near what you expect, such as {u0=1}"
+        in texts[0]
+    )
+    away = replace(fit, weights=replace(fit.weights, calibration=np.full(4, -1e149)))
+    assert len(about_sensors(away, np.ones(3))) == 4
+    assert "give start values of the calibration numbers" in sentence(
+        find("not-converged", reason="step limit", calibrated=True)
+    )
 
 
 def test_a_coordinate_that_nothing_shows_is_refused() -> None:

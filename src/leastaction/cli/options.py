@@ -65,7 +65,11 @@ class DataOptions:
         columns = dict(zip(names, columns.values(), strict=True))
         with blame("--angles"):
             turning = check_coordinate_names(name_list(angles)) if angles else ()
-            _check_are_coordinates(turning, [*names, *unseen])
+            try:
+                _check_are_coordinates(turning, [*names, *unseen])
+            except InputError as error:
+                hint = "; name coordinates without a column in --hidden" if given.get("measure") else ""
+                raise InputError(f"{error}{hint}") from None
         with blame("--forces"):
             driving = _force_columns(forces, names) if forces else {}
         rates = []

@@ -17,6 +17,8 @@ __all__ = ["about_hidden", "about_sensors"]
 
 # of the spread of a column: an error of a calibration number that changes the column by less is acceptable
 _SHARE = 0.5
+# of a calibration number, as in an expression: beyond, it has run away
+_LARGEST = 1e12
 
 
 def about_sensors(fit: Fit, residual_ratio: np.ndarray) -> list[Finding]:
@@ -35,10 +37,13 @@ def about_sensors(fit: Fit, residual_ratio: np.ndarray) -> list[Finding]:
     ratios = zip(columns, residual_ratio[-len(columns) :].tolist(), strict=True)
     out = [find("column-unexplained", c, residual_ratio=x) for c, x in ratios if x > DIAGNOSIS.noise_ratio]
     if fit.joint is not None and np.isfinite(fit.joint).all():
+        stops = [None] * len(names) if fit.converged else numbers.tolist()
         errors = np.sqrt(np.clip(np.diag(fit.joint)[len(fit.structure) :], 0.0, None))
-        wide = _acceptable(fit, sensors, numbers)
+        wide = np.where(np.abs(numbers) < _LARGEST, _acceptable(fit, sensors, numbers), 0.0)
         out += [
-            find("calibration-open", n, error=e) for n, e, w in zip(names, errors, wide, strict=True) if e > w
+            find("calibration-open", name, error=error, stopped_at=stop)
+            for name, error, most, stop in zip(names, errors, wide, stops, strict=True)
+            if not error <= most
         ]
     return out
 

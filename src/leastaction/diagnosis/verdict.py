@@ -84,7 +84,7 @@ def verify(
     needed = DIAGNOSIS.few_samples
     found: list[Finding] = []
     if not fit.converged:
-        found.append(find("not-converged", reason=fit.status))
+        found.append(find("not-converged", reason=fit.status, calibrated=sensors is not None))
     excused = (share > SELECTION.holds) & _as_forces_are(fit)
     unexplained = [
         i

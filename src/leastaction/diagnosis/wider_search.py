@@ -85,7 +85,7 @@ def perhaps_angles(problem: Problem) -> list[str]:
 
 
 def perhaps_degrees(fit: Fit, period: float, share: np.ndarray, causes: Sequence[Finding]) -> list[Finding]:
-    """Angles that cover more than two turns within a recording, which may be in degrees.
+    """Measured angles that cover more than two turns within a recording, which may be in degrees.
 
     Where simulations follow the data, the unit of the angle hardly matters, with two exceptions. An equation
     that is off by more than its forces explains nothing, even if a simulation happens to follow. And small
@@ -93,11 +93,11 @@ def perhaps_degrees(fit: Fit, period: float, share: np.ndarray, causes: Sequence
     other cause is found for an equation that is off.
     """
     spans = np.max([np.ptp(curve, axis=0) for curve in fit.curves()], axis=0)
-    names = fit.problem.trajectories.coordinates
+    names, counts = fit.problem.trajectories.coordinates, fit.grid.observations.counts
     found = {
         name: find("angle-in-degrees", name, span=span)
-        for name, span in zip(names, spans, strict=True)
-        if name in fit.problem.candidates.turning and span > DIAGNOSIS.two_turns
+        for name, span, count in zip(names, spans, counts[: len(names)], strict=True)
+        if count and name in fit.problem.candidates.turning and span > DIAGNOSIS.two_turns
     }
     lagrangian = [
         term for term in map(fit.problem.terms.__getitem__, fit.structure) if term.kind == "lagrangian"

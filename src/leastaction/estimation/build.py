@@ -125,7 +125,7 @@ def build_problem(
     library = _with_offsets(library.with_dissipation(request.dissipation), request.force_offset)
     known = _resolve_known(library, dict(request.known or {}))
     _check_scale(trajectories, library, known)
-    findings, turning = _about_angles(trajectories, angles)
+    findings, turning = _about_angles(trajectories, angles, () if seen_by is None else seen_by.computed)
     findings += [*unused_forces, *(find("undeclared-angle", name, jumps=n) for name, n in turning.items())]
     trajectories = trajectories.unwrap(turning)
     seen = arranged(trajectories, measured)
@@ -149,7 +149,7 @@ def build_problem(
     coefficients = _coefficients(terms, known)
     of_sensors = () if seen_by is None else seen_by.sensors.functions.names
     given = {name: ends for name, ends in request.shapes.items() if name not in of_sensors}
-    ranges = shape_ranges(terms, states, given)
+    ranges = shape_ranges(terms, states, given, of_sensors)
     numbers = {name: where.at(_FIRST) for name, where in ranges.items()}
     candidates = EulerLagrange([term.at(numbers) for term in terms], library.coordinates, places)
     problem = Problem(
@@ -371,13 +371,13 @@ def _round_to_one_digit(value: float) -> float:
 
 
 def _about_angles(
-    trajectories: Trajectories, angles: tuple[str, ...]
+    trajectories: Trajectories, angles: tuple[str, ...], computed: tuple[str, ...]
 ) -> tuple[list[Finding], dict[str, int]]:
-    """Notes on unwrapped angles, and coordinates that may be wrapped angles with their number of jumps."""
+    """Notes on unwrapped measured angles, and jumps of coordinates that may be wrapped angles."""
     notes = [
         find("angle-unwrapped", name, jumps=count)
         for name, count in trajectories.wraps_removed.items()
-        if count and name in angles
+        if count and name in angles and name not in computed
     ]
     turning: dict[str, int] = {}
     for i, name in enumerate(trajectories.coordinates):

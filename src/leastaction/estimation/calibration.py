@@ -29,6 +29,7 @@ from leastaction.estimation.by_sample import by_sample, directions, misfit, newt
 from leastaction.estimation.gauss_newton import JointFit
 from leastaction.estimation.joint import Physics
 from leastaction.estimation.sensors import SensorFunctions, SensorObservations, Sensors
+from leastaction.estimation.shape_ranges import check_numbers
 from leastaction.estimation.weights import Start, evidence, fit_weights, start_weights
 from leastaction.findings import Finding
 from leastaction.identifiers import check_coordinate_names, measured_columns, quoted
@@ -61,6 +62,12 @@ class Calibrated:
     trajectories: Trajectories
     sensors: Sensors
     findings: tuple[Finding, ...]
+
+    @property
+    def computed(self) -> tuple[str, ...]:
+        """Coordinates that have no samples of their own."""
+        seen = np.isfinite(np.concatenate(self.sensors.direct))
+        return tuple(n for i, n in enumerate(self.trajectories.coordinates) if not seen[:, i].any())
 
 
 def from_columns(
@@ -101,6 +108,7 @@ def from_columns(
         if name in taken:
             raise InputError(f"{{{name}}} occurs in a candidate and in a measurement function; rename one")
     ranges = {name: ends for name, ends in shapes.items() if name in functions.names}
+    check_numbers(functions.starts, ranges)
     return calibrate(table, functions, turning, degree, ranges, robust=robust)
 
 
@@ -147,6 +155,7 @@ def calibrate(
         own, _centred(sensors), np.isin(functions.coordinates, list(angles)), knots.per_second, degree
     )
     draws = _draws(sensors, np.random.default_rng(0))
+    _check_defined(hunt, draws)
     if len(draws) > 1:
         short = hunt.shortened()
         fits = [short.fitted(numbers, 4) for numbers in sorted(draws, key=short.misfit_of)[:_KEPT]]
@@ -188,6 +197,12 @@ def _columns(table: Trajectories, functions: SensorFunctions) -> Trajectories:
             raise DataError(
                 f"column {quoted(name)} has {count} samples; at least {FEWEST_SAMPLES} are needed"
             )
+        values = np.concatenate([t.q[:, i] for t in columns])
+        if np.nanmax(values) == np.nanmin(values):
+            raise DataError(
+                f"column {quoted(name)} is {np.nanmax(values):g} in all samples, so that it shows nothing of "
+                "the motion; leave out the column and its measurement function"
+            )
     return columns
 
 
@@ -201,6 +216,18 @@ def _check_observed(functions: SensorFunctions, own: Trajectories) -> None:
                 f"{quoted(name)} has no samples and occurs in no measurement function; add a column that "
                 "depends on it, or leave it out of the library"
             )
+
+
+def _check_defined(hunt: _Hunt, draws: Sequence[np.ndarray]) -> None:
+    """Refuse measurement functions that have a value nowhere, whatever the start values."""
+    names = set(hunt.sensors.functions.columns)
+    for numbers in draws:
+        if not (names := names & hunt.undefined(numbers)):
+            return
+    raise InputError(
+        f"the measurement function of {quoted(min(names))} has no finite value at any sample, with any start "
+        "value tried; check its roots, logarithms and divisions, or give other start values, such as {s=800}"
+    )
 
 
 def _draws(sensors: Sensors, rng: np.random.Generator) -> list[np.ndarray]:
@@ -292,17 +319,30 @@ class _Hunt:
     def misfit_of(self, numbers: np.ndarray) -> float:
         """Misfit of some samples with separate coordinates, in logarithms to bound outliers."""
         total = 0.0
+        thin, times = self._thinned()
+        for k, t in enumerate(times):
+            q = by_sample(thin, k, t, numbers, self.angular)
+            total += float(np.log1p(misfit(thin, k, q, t, numbers)).sum())
+        return total
+
+    def undefined(self, numbers: np.ndarray) -> set[str]:
+        """Columns whose functions of the coordinates alone are finite at none of some samples."""
+        thin, times = self._thinned()
+        functions, seen = self.sensors.functions, np.array(self.sensors.functions.degrees) > 0
+        for k, t in enumerate(times):
+            q = np.nan_to_num(by_sample(thin, k, t, numbers, self.angular))  # one column may spoil it
+            seen |= np.isfinite(functions.values(np.stack([q, 0.0 * q, 0.0 * q]), t, numbers)).any(axis=1)
+        return {name for name, found in zip(functions.columns, seen, strict=True) if not found}
+
+    def _thinned(self) -> tuple[Sensors, list[np.ndarray]]:
+        """The sensors at a share of the samples, and the times of these in each trial."""
         stride = max(1, sum(t.n_times for t in self.own) // _SCREENED)
         thin = replace(
             self.sensors,
             samples=[values[::stride] for values in self.sensors.samples],
             direct=[values[::stride] for values in self.sensors.direct],
         )
-        for k, run in enumerate(self.own):
-            t = run.t[::stride]
-            q = by_sample(thin, k, t, numbers, self.angular)
-            total += float(np.log1p(misfit(thin, k, q, t, numbers)).sum())
-        return total
+        return thin, [run.t[::stride] for run in self.own]
 
     def fitted(self, numbers: np.ndarray, rounds: int = 8) -> tuple[JointFit, float]:
         """Curve and κ from given numbers, and their evidence."""

@@ -84,7 +84,10 @@ class SensorFunctions:
             if column in columns:
                 raise InputError(f"measure gives two functions for {quoted(column)}; leave one out")
             starts |= {name: _number(text, name, value) for name, value in _START.findall(right)}
-            expr = parse_expression(_START.sub(r"{\1}", right.strip()), [*allowed, TIME], shapes=True)
+            try:
+                expr = parse_expression(_START.sub(r"{\1}", right.strip()), [*allowed, TIME], shapes=True)
+            except InputError as error:
+                raise InputError(f"measurement function of {quoted(column)}: {error}") from None
             if not {symbol.name for symbol in expr.free_symbols} & set(allowed):
                 raise InputError(f"the measurement function {text!r} holds no coordinate")
             columns.append(column)

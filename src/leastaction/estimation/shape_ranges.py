@@ -24,7 +24,7 @@ from leastaction.identifiers import quoted
 from leastaction.library import Term, is_constant, shape_names, shape_symbol, time_symbol
 from leastaction.library.parser import MAX_EXPONENT
 
-__all__ = ["ShapeRange", "frequency_range", "shape_ranges", "shape_starts"]
+__all__ = ["ShapeRange", "check_numbers", "frequency_range", "shape_ranges", "shape_starts"]
 
 _QUARTER = np.pi / 2.0  # of a turn
 _MOST_FREQUENCIES = 4000  # bounds time
@@ -123,7 +123,10 @@ def shape_starts(ranges: Mapping[str, ShapeRange], count: int) -> Iterator[dict[
 
 
 def shape_ranges(
-    terms: Sequence[Term], states: Mapping[str, np.ndarray], given: Mapping[str, tuple[float, float]]
+    terms: Sequence[Term],
+    states: Mapping[str, np.ndarray],
+    given: Mapping[str, tuple[float, float]],
+    of_sensors: Sequence[str] = (),
 ) -> dict[str, ShapeRange]:
     """Range of every shape parameter of some terms.
 
@@ -134,6 +137,8 @@ def shape_ranges(
         Coordinates and velocities at points of the data.
     given : mapping of str to (low, high)
         Ranges from the user.
+    of_sensors : sequence of str
+        Calibration numbers, for messages.
 
     Raises
     ------
@@ -144,10 +149,11 @@ def shape_ranges(
     for name, ends in given.items():
         if name not in names:
             listing = ", ".join(names) or "none; write one as exp(-{a}*x)"
-            raise InputError(
-                f"shapes names {quoted(name)}, which is not a shape parameter of the library (it has "
-                f"{listing})"
-            )
+            neither = f"a shape parameter of the library (it has {listing})"
+            what = f"not {neither}"
+            if of_sensors:
+                what = f"neither {neither} nor one of the calibration numbers ({', '.join(of_sensors)})"
+            raise InputError(f"shapes names {quoted(name)}, which is {what}")
         _check_ends(name, ends)
     out: dict[str, ShapeRange] = {}
     for name in names:
@@ -183,15 +189,25 @@ def _checked(name: str, found: ShapeRange) -> ShapeRange:
     return found
 
 
-def _check_ends(name: str, ends: object) -> None:
+def check_numbers(starts: Mapping[str, float], ranges: Mapping[str, tuple[float, float]]) -> None:
+    """Refuse ranges of calibration numbers that are none, and start values outside of theirs."""
+    for name, ends in ranges.items():
+        _check_ends(name, ends, "calibration number")
+        if name in starts and not ends[0] <= starts[name] <= ends[1]:
+            raise InputError(
+                f"the start value of {{{name}}} is {starts[name]:g}; expected a value in its range, "
+                f"{ends[0]:g} to {ends[1]:g}; change one of them, or leave one out"
+            )
+
+
+def _check_ends(name: str, ends: object, what: str = "shape parameter") -> None:
     try:
         low, high = map(float, ends)  # type: ignore[call-overload]
     except (TypeError, ValueError):
         low = high = np.nan
     if not (np.isfinite([low, high]).all() and low < high):
         raise InputError(
-            f"the range of the shape parameter {quoted(name)} is {quoted(ends)}; expected (low, high) with "
-            "low < high"
+            f"the range of the {what} {quoted(name)} is {quoted(ends)}; expected (low, high) with low < high"
         )
 
 

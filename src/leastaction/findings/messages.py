@@ -17,7 +17,7 @@ __all__ = ["CODES"]
 CODES: dict[str, Message] = {
     # the equations do not hold
     "not-converged": Message(
-        "warning", "the solver did not converge ({reason})", "try fewer candidates or a longer recording"
+        "warning", "the solver did not converge ({reason})", stated.not_converged_remedy
     ),
     "equations-off": Message(
         "warning",
@@ -159,11 +159,7 @@ CODES: dict[str, Message] = {
         "times the noise)",
         "check the function, or give start values of its numbers, such as {{s=800}}",
     ),
-    "calibration-open": Message(
-        "warning",
-        "the data do not determine the calibration number {subject} (standard error {error:.2g})",
-        "give it as a number, leave out a candidate that does the same, or offer fewer numbers",
-    ),
+    "calibration-open": Message("warning", stated.calibration_open, stated.calibration_remedy),
     # the data
     "rate-unexplained": Message(
         "warning",

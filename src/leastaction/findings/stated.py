@@ -10,9 +10,12 @@ from leastaction.findings.finding import UNDECIDED, Finding, fill
 
 __all__ = [
     "STRUCTURES",
+    "calibration_open",
+    "calibration_remedy",
     "failed",
     "followed",
     "groups_differ",
+    "not_converged_remedy",
     "reach",
     "stated_error",
     "statements",
@@ -161,3 +164,24 @@ def groups_differ(f: dict[str, Any]) -> str:
     return fill(
         what + " between the groups {groups} ({changes}){same}", {**f, "changes": changes, "same": same}
     )
+
+
+def not_converged_remedy(f: Mapping[str, Any]) -> str:
+    """What helps a solver that does not converge; with measurement functions, start values, too."""
+    if f.get("calibrated"):
+        return "give start values of the calibration numbers, such as {s=800}, or try fewer candidates"
+    return "try fewer candidates or a longer recording"
+
+
+def calibration_open(f: Mapping[str, Any]) -> str:
+    """State that a calibration number is open, or where it was when the solver stopped."""
+    if f.get("stopped_at") is not None:
+        return fill("the calibration number {subject} was {stopped_at:.3g} when the solver stopped", f)
+    return fill("the data do not determine the calibration number {subject} (standard error {error:.2g})", f)
+
+
+def calibration_remedy(f: Mapping[str, Any]) -> str:
+    """What makes a calibration number determined, or helps the solver to find it."""
+    if f.get("stopped_at") is not None:
+        return fill("give a start value near what you expect, such as {{{subject}=1}}, or a range", f)
+    return "give it as a number, leave out a candidate that does the same, or offer fewer numbers"

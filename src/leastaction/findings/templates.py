@@ -136,10 +136,10 @@ def rate_scaled(f: dict[str, Any]) -> str:
 
 def equations_off(f: dict[str, Any]) -> str:
     """State that an equation does not hold; mention the residual only where it exceeds the noise."""
-    more = f["residual_ratio"] > _MORE_THAN_NOISE
-    residual = "; the residual is {residual_ratio:.2f} times the noise" if more else ""
-    text = "the model does not explain {subject} (its equation is off by {equation_error:.1f%} of the forces"
-    return fill(f"{text}{residual})", f)
+    off = ["its equation is off by {equation_error:.1f%} of the forces"] if f["equation_error"] > 5e-4 else []
+    more = f["residual_ratio"] > _MORE_THAN_NOISE or not off
+    residual = ["the residual is {residual_ratio:.2f} times the noise"] if more else []
+    return fill(f"the model does not explain {{subject}} ({'; '.join(off + residual)})", f)
 
 
 def equations_off_remedy(f: dict[str, Any], prescribed: str = "prescribed=['{subject}']") -> str:
