@@ -67,8 +67,9 @@ def read_csv(
     ----------
     path : path, or iterable of paths
         File to read. Several files are trials of one system.
-    coordinates : sequence of str, or mapping of str to str
-        Coordinates that are also column names, or a mapping coordinate -> column.
+    coordinates : sequence of str, or mapping of str to str or None
+        Coordinates that are also column names, or a mapping coordinate -> column. None stands for a
+        coordinate without a column, on which forces may act; it comes after the others.
     time : str
         Column of the times: seconds, another unit that the file states, or dates
         (``2024-05-01T12:00:00.25``), which become seconds since the first date of the file. A file

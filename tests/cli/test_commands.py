@@ -858,6 +858,26 @@ def test_a_column_is_calibrated(tmp_path):
     assert "has no column" in wrong.output
 
 
+def test_forces_act_on_a_coordinate_that_columns_measure(tmp_path):
+    """x'' = -2.25 x + sin t: the force sets the scale of L, and validate takes it, too."""
+    rng = np.random.default_rng(0)
+    t = np.linspace(0.0, 8.0, 401)
+    y = 3.0 + 2.0 * (np.cos(1.5 * t) + np.sin(t) / 1.25) + 0.01 * rng.standard_normal(t.size)
+    file, terms, out = (tmp_path / name for name in ("run.csv", "terms.txt", "out"))
+    file.write_text("t,y,u\n" + "\n".join(f"{a},{b},{np.sin(a)}" for a, b in zip(t, y, strict=True)))
+    terms.write_text("x_dot**2\nx**2\n")
+    options = ["--coordinates", "y", "--hidden", "x", "--library", terms, "--measure", "y = 2*x + {b}"]
+    run("discover", file, *options, "--forces", "x=u", "--output", out)
+    kinetic, potential = la.load(out / "model.json").terms
+    assert abs(kinetic.coefficient - 0.5) < 4.0 * kinetic.standard_error
+    assert abs(potential.coefficient + 1.125) < 4.0 * potential.standard_error
+    assert "without --forces" not in run("validate", out / "model.json", file, "--forces", "u").output
+    wrong = run("discover", file, *options, "--forces", "y=u", "--output", out, code=2)
+    assert "--forces: 'y' is not a coordinate; the coordinates are x" in wrong.output
+    wrong = run("discover", file, *options, "--angles", "z", "--output", out, code=2)
+    assert "name coordinates without a column in --hidden" in wrong.output
+
+
 @pytest.mark.thorough
 @pytest.mark.usefixtures("morse")
 def test_a_number_is_found_and_shown():

@@ -132,6 +132,14 @@ def test_forces_for_some_coordinates(file):
     assert not io.read_csv(path, ["a", "b"], forces=[]).driven
 
 
+def test_forces_act_on_a_coordinate_without_a_column(file):
+    path = file("t,a [mm],u [mN]\n" + "".join(f"{k},{k},{2 * k}\n" for k in range(5)))
+    (run,) = io.read_csv(path, {"b": None, "a": "a"}, forces={"b": "u"})
+    assert run.coordinates == ("a", "b")
+    np.testing.assert_allclose(run.q, np.column_stack([1e-3 * np.arange(5), np.full(5, NAN)]))
+    np.testing.assert_allclose(run.forces, np.column_stack([np.zeros(5), 2e-3 * np.arange(5)]))
+
+
 def test_angles_are_unwrapped(file):
     path = file(table("0,3", "1,", "2,-3", "3,-2", "4,-1", "5,0"))
     runs = io.read_csv(path, ["theta"], angles=["theta"])
@@ -258,6 +266,7 @@ def test_missing_force_is_an_error(file):
         (dict(coordinates=[]), "is empty"),
         (dict(coordinates=7), "sequence of names"),
         (dict(coordinates={"theta": 3}), "column of coordinate theta must be a name"),
+        (dict(coordinates={"theta": None}), "no coordinate has a column"),
         (dict(coordinates=["theta", "theta"]), "occurs twice"),
         (dict(coordinates={"a": "theta", "b": "theta"}), "used twice, as coordinate a and as coordinate b"),
         (dict(time="theta"), "used twice, as time and as coordinate theta"),

@@ -42,8 +42,14 @@ class DataOptions:
     measure: tuple[str, ...] = ()
 
     @classmethod
-    def of(cls, given: Mapping[str, Any], default: Sequence[str] = ()) -> DataOptions:
-        """Check the texts of the options by name; `default` are the coordinates where none are given."""
+    def of(
+        cls, given: Mapping[str, Any], default: Sequence[str] = (), law: Sequence[str] = ()
+    ) -> DataOptions:
+        """Check the texts of the options by name.
+
+        ``default`` are the coordinates where none are given. ``law`` are those of a model whose columns
+        measure functions of them.
+        """
         from leastaction.identifiers import check_coordinate_names
 
         coordinates, angles, forces = given["coordinates"], given["angles"], given["forces"]
@@ -56,7 +62,8 @@ class DataOptions:
                 raise InputError(f"{quoted(name)} is named in --coordinates, too; name it in one of the two")
             names = check_coordinate_names([*columns, *moved])
         with blame("--hidden"):
-            unseen = check_coordinate_names(name_list(given["hidden"])) if given.get("hidden") else ()
+            unseen = tuple(name for name in law if name not in names)
+            unseen = check_coordinate_names(name_list(given["hidden"])) if given.get("hidden") else unseen
             for name in {*unseen} & {*names}:
                 raise InputError(
                     f"{quoted(name)} has a column, too: leave it out of --coordinates and --input"
@@ -70,8 +77,14 @@ class DataOptions:
             except InputError as error:
                 hint = "; name coordinates without a column in --hidden" if given.get("measure") else ""
                 raise InputError(f"{error}{hint}") from None
+        functions = tuple(given.get("measure") or ())
+        with blame("--measure"):
+            for column in measured_columns(functions):
+                if column not in names:
+                    raise InputError(f"{quoted(column)} has no column; name it in --coordinates")
         with blame("--forces"):
-            driving = _force_columns(forces, names) if forces else {}
+            acted = law or _of_the_law(names, unseen, functions)
+            driving = _force_columns(forces, acted) if forces else {}
         rates = []
         for option in ("velocity", "acceleration"):
             with blame(f"--{option}"):
@@ -85,11 +98,6 @@ class DataOptions:
             units = _units(given.get("units") or "SI")
         files, time, trial = tuple(given["data"]), given["time"], given["trial"]
         inputs = names[len(names) - len(moved) :]
-        functions = tuple(given.get("measure") or ())
-        with blame("--measure"):
-            for column in measured_columns(functions):
-                if column not in names:
-                    raise InputError(f"{quoted(column)} has no column; name it in --coordinates")
         said = (given.get("time_unit"), units, unseen, functions)
         return cls(files, columns, time, trial, driving, turning, rates[0], rates[1], delay, inputs, *said)
 
@@ -103,6 +111,11 @@ class DataOptions:
         """Names of the coordinates of the law, those without a column last."""
         sensors = measured_columns(self.measure)
         return (*(name for name in self.coordinates if name not in sensors), *self.hidden)
+
+    @property
+    def _read(self) -> dict[str, str | None]:
+        """Coordinate -> its column; None for those without one on which forces act."""
+        return self.coordinates | {name: None for name in self.hidden if name in self.forces}
 
     def in_order_of(self, names: Sequence[str]) -> DataOptions:
         """Return the same with the columns in another order; some of the names may have none."""
@@ -123,7 +136,7 @@ class DataOptions:
             warnings.simplefilter("always", DataWarning)
             data = read(
                 self.paths,
-                self.coordinates,
+                self._read,
                 self.time,
                 self.forces or None,
                 self.trial,
@@ -172,6 +185,14 @@ def _units(text: str) -> dict[str, str] | str:
             raise InputError(f"{quoted(text)} is neither SI nor as-written, nor of the form NAME=UNIT")
         return text
     return dict(pairs(text.split(","), "NAME=UNIT, e.g. theta=deg"))
+
+
+def _of_the_law(names: Sequence[str], unseen: Sequence[str], functions: Sequence[str]) -> Sequence[str]:
+    """Coordinates on which forces may act: with measurement functions, those that columns measure."""
+    if not functions:
+        return names
+    sensors = measured_columns(functions)
+    return [*(name for name in names if name not in sensors), *unseen]
 
 
 def _force_columns(text: str, names: Sequence[str]) -> dict[str, str]:
@@ -280,7 +301,7 @@ def data_options(coordinates_required: bool) -> Callable[[Callable[..., Any]], C
     """Return a decorator that adds the argument DATA and the options that say what its columns mean.
 
     The command gets them as one parameter ``data``, a function that checks them: `DataOptions.of`, of which
-    only ``default`` may be left to give.
+    only ``default`` and ``law`` may be left to give.
     """
     where = "" if coordinates_required else " Default: those of the model."
     coordinates = click.option(

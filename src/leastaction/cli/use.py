@@ -233,7 +233,8 @@ def validate(
             if length <= 0:
                 raise InputError(f"{quoted(horizon)} is not positive")
     found = leastaction.load(model)
-    options = data(default=_measured(found)).in_order_of(columns_of(found))
+    law = found.coordinates if found.calibration is not None else ()
+    options = data(default=_measured(found), law=law).in_order_of(columns_of(found))
     trajectories = options.read()
     groups = None if group is None else groups_of_trials(options, group, trajectories.names)
     if not trajectories.driven and not any(term.known for term in found.terms):

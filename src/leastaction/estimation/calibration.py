@@ -95,7 +95,7 @@ def from_columns(
         names, taken = library.coordinates, tuple(library.shapes)
         turning = library.angles if angles is None else tuple(angles)
     else:
-        names, taken = (*(name for name in table.coordinates if name not in columns), *hidden), ()
+        names, taken = dict.fromkeys(n for n in (*table.coordinates, *hidden) if n not in columns), ()
         turning = () if angles is None else tuple(angles)
     functions = SensorFunctions.parse(texts, check_coordinate_names(names))
     unknown = [name for name in table.coordinates if name not in (*columns, *names)]

@@ -229,10 +229,12 @@ def to_trajectories(layout: Layout, table: Table, name: str = "") -> Trajectorie
         _check_times(layout, table, label, rows)
         q = np.column_stack([numbers[column][rows] for column in layout.coordinates.values()])
         _check_enough(layout, table, label, q)
+        q = np.column_stack([q, np.full((len(q), len(layout.unmeasured)), np.nan)])
         beside = {kind: _matrix(layout, numbers, kind, rows, q.shape) for kind in BESIDE}
         t = numbers[layout.time][rows]
         said = layout.findings + _perhaps_not_seconds(layout, t)
-        run = Trajectory(t, q, coordinates=tuple(layout.coordinates), name=label, findings=said, **beside)
+        names = (*layout.coordinates, *layout.unmeasured)
+        run = Trajectory(t, q, coordinates=names, name=label, findings=said, **beside)
         trajectories.append(run.stating(layout.stated_units))
     result = Trajectories(trajectories)
     return result.unwrap(layout.angles) if layout.angles else result
@@ -246,7 +248,7 @@ def _matrix(
     if not columns:
         return None
     out = np.full(shape, 0.0 if kind == "forces" else np.nan)
-    for index, coordinate in enumerate(layout.coordinates):
+    for index, coordinate in enumerate((*layout.coordinates, *layout.unmeasured)):
         if coordinate in columns:
             out[:, index] = numbers[columns[coordinate]][rows]
     return out

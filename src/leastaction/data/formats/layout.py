@@ -19,7 +19,7 @@ __all__ = ["BESIDE", "MIN_SAMPLES", "Coordinates", "Forces", "Layout", "Table", 
 MIN_SAMPLES = 5
 """Fewest measured samples of a coordinate in a trial."""
 
-Coordinates = Sequence[str] | Mapping[str, str] | str
+Coordinates = Sequence[str] | Mapping[str, str] | Mapping[str, str | None] | str
 Forces = Mapping[str, str] | Sequence[str | None] | str | None
 Units = Mapping[str, str] | str
 
@@ -73,6 +73,8 @@ class Layout:
         Changes to the data of the file.
     stated_units : tuple of (str, str, str)
         Quantity, coordinate and unit of SI of the columns whose unit is known; see `Trajectory`.
+    unmeasured : tuple of str
+        Coordinates without a column, on which forces may act; after the others.
     """
 
     time: str
@@ -88,6 +90,7 @@ class Layout:
     clock: Clock | None = None
     findings: tuple[Finding, ...] = ()
     stated_units: Stated = ()
+    unmeasured: tuple[str, ...] = ()
 
     @classmethod
     def of(
@@ -101,10 +104,11 @@ class Layout:
         accelerations: Forces = None,
     ) -> Layout:
         """Check the arguments of a reader and return them as a Layout."""
-        columns = _coordinate_columns(coordinates)
+        columns, unmeasured = _coordinate_columns(coordinates)
         known = tuple(columns)
-        given_columns = {"forces": forces, "velocities": velocities, "accelerations": accelerations}
-        beside = {kind: _columns_for(kind, given, known) for kind, given in given_columns.items()}
+        rates = (_columns_for("velocities", velocities, known),)
+        rates = (*rates, _columns_for("accelerations", accelerations, known))
+        acting = _columns_for("forces", forces, (*known, *unmeasured))
         for role, column in (("time", time), ("trial", trial)):
             _check_column(role, column)
         given = (angles,) if isinstance(angles, str) else tuple(angles)
@@ -114,8 +118,7 @@ class Layout:
                 raise InputError(
                     f"angle {quoted(name)} is not a coordinate; the coordinates are {listed(known)}"
                 )
-        rates = (beside["velocities"], beside["accelerations"])
-        layout = cls(time, columns, beside["forces"], trial, turning, *rates)
+        layout = cls(time, columns, acting, trial, turning, *rates, unmeasured=unmeasured)
         layout._check_uses()
         return layout
 
@@ -328,21 +331,29 @@ def _check_column(role: str, column: object) -> None:
         raise InputError(f"{role} must be the name of a column, not {quoted(column)}")
 
 
-def _coordinate_columns(coordinates: Mapping[str, object] | Sequence[str] | str) -> dict[str, str]:
+def _coordinate_columns(
+    coordinates: Mapping[str, Any] | Sequence[str] | str,
+) -> tuple[dict[str, str], tuple[str, ...]]:
+    """Coordinate -> its column, and coordinates that have none."""
     if isinstance(coordinates, Mapping):
         checked: dict[str, str] = {}
-        for name, column in zip(check_coordinate_names(coordinates), coordinates.values(), strict=True):
-            if not isinstance(column, str):
+        names = check_coordinate_names(coordinates)
+        for name, column in zip(names, coordinates.values(), strict=True):
+            if not isinstance(column, str | None):
                 raise InputError(f"the column of coordinate {name} must be a name, not {quoted(column)}")
-            checked[name] = column
-        return checked
+            if column is not None:
+                checked[name] = column
+        if not checked:
+            raise InputError("no coordinate has a column; name at least one, e.g. coordinates={'x': 'x [m]'}")
+        return checked, tuple(name for name in names if name not in checked)
     if not isinstance(coordinates, str):
         try:
             coordinates = list(coordinates)
         except TypeError:
             raise InputError(f"coordinates must be a sequence of names, not {quoted(coordinates)}") from None
     names = check_coordinate_names(coordinates)
-    return dict(zip(names, [coordinates] if isinstance(coordinates, str) else coordinates, strict=True))
+    given = [coordinates] if isinstance(coordinates, str) else coordinates
+    return dict(zip(names, given, strict=True)), ()
 
 
 def _columns_for(
