@@ -34,8 +34,8 @@ class HiddenSettings:
     """The same for the stage in which a law has to follow the motion."""
 
     doublings: int = 2
-    """Largest number of times that the horizon doubles after the last stage, while several laws follow. In a
-    strict search it doubles once even for one law."""
+    """Largest number of times that the horizon doubles after the last stage, while several laws follow. It
+    doubles once even for one law that misses some windows, or in a strict search."""
 
     batches: tuple[int, int] = (6, 24)
     """Largest number of draws, with many terms and with few: with few, a draw takes a second."""
