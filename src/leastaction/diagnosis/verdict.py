@@ -327,9 +327,7 @@ def _mass_matrix(fit: Fit) -> list[Finding]:
 
 def _open_scales(fit: Fit) -> list[Finding]:
     """Coordinates that the terms found couple to nothing known: their part of L has any scale."""
-    forces = fit.grid.forces
-    pushed = [] if forces is None else np.flatnonzero(np.any(forces.values != 0.0, axis=(0, 1))).tolist()
-    names = fit.problem.unreached(fit.structure, pushed)
+    names = fit.problem.unreached(fit.structure)
     return [find("scale-open", list(names))] if names else []
 
 

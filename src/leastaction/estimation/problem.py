@@ -204,15 +204,15 @@ class Problem:
         """The number of free numbers in a structure: coefficients and shape parameters."""
         return len(structure) + len(self.shapes_of(structure))
 
-    def unreached(self, structure: Iterable[int], pushed: Iterable[int]) -> tuple[str, ...]:
+    def unreached(self, structure: Iterable[int]) -> tuple[str, ...]:
         """Coordinates for which the scale of L is not identifiable in a structure.
 
         The equations of coordinates that terms couple, directly or through others, share one scale of L. It
-        is identifiable if a known force acts on one of them (``pushed``), or a coefficient is known.
+        is identifiable if a known force acts on one of them, or a coefficient is known.
         """
         names = [n for i, n in enumerate(self.coordinates) if i not in self.prescribed]
         group = {name: name for name in names}
-        fixed = {self.coordinates[i] for i in pushed}
+        fixed = {self.coordinates[i] for i in self.pushed}
 
         def root(name: str) -> str:
             return name if group[name] == name else root(group[name])

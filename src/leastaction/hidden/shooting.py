@@ -369,7 +369,7 @@ def _precision(windows: Windows) -> type[np.floating]:
 
 
 def _competing(costs: list[np.ndarray], further: float) -> np.ndarray:
-    """Which sets come near the lowest cost if it falls ``further`` times as much as from first to last."""
+    """Which sets come near the lowest cost if each falls on as before, for ``further`` times as long."""
     first, last = costs[0], costs[-1]
     falls = np.minimum(last / (first + _TINY), 1.0)
     return last * falls**further <= HIDDEN.stands_out * last.min()
